@@ -16,7 +16,7 @@ from gateway.faults.fleet import FleetParams
 from gateway.faults.outgoing import Outgoing, Tally
 from gateway_fleet.live.batch import packed, unpacked
 from gateway_fleet.live.inbox import Inbox
-from gateway_fleet.live.statistics import BLOCK_S, TESTS, _Test, told
+from gateway_fleet.live.statistics import BLOCK_S, TESTS, _Test, columns
 from gateway_fleet.live.tables import export, prepare
 
 CARS, DRIVES, CHANGES, PEAK, DAY_S = 10**6, 2, 5, 20.0, 86400.0
@@ -36,7 +36,7 @@ def drive(rng):
     head = {"event": "statistics", "t_ns": 1_790_000_000 * 10**9, "begin_ns": 1_789_998_200 * 10**9, "condition": ""}
     head |= {"block_s": BLOCK_S, "seconds": MINUTES * BLOCK_S}
     parts = [dict(list(tests.items())[at : at + TESTS]) for at in range(0, COUNT, TESTS)]
-    return [{**head, "part": k, "tests": told(part)} for k, part in enumerate(parts)]
+    return [{**head, "part": k, "tests": columns(part)} for k, part in enumerate(parts)]
 
 
 def change(n):

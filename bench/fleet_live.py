@@ -33,7 +33,7 @@ from gateway.faults.resilient_store import ResilientStore
 from gateway_fleet.live.batch import digest_of, packed, topic
 from gateway_fleet.live.collect import Came, Collector
 from gateway_fleet.live.deliver import digest_in
-from gateway_fleet.live.statistics import _Test, told
+from gateway_fleet.live.statistics import _Test, columns
 from gateway_serve.broker import Broker, BrokerLink
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
@@ -72,7 +72,7 @@ def diagnosis(n, causes):
 
 def statistics(n, rng, centre, spread, hours=1.0):
     worst = centre + spread * (rng.standard_t(6, (60, 60)) * np.sqrt(4 / 6)).max(axis=1)
-    tests = told({"speed.V.high": (_Test(sign=1, limit=20.0), worst.tolist())})
+    tests = columns({"speed.V.high": (_Test(sign=1, limit=20.0), worst.tolist())})
     return {
         "event": "statistics", "t_ns": n, "begin_ns": n - 3600 * 10**9, "part": 0, "condition": "", "block_s": 60.0,
         "seconds": 3600.0 * hours, "tests": tests,

@@ -57,8 +57,8 @@ def shown_side(opener, config, memory, ready, end, out, *, pages, harm=False):
     gateway.start(time.time_ns())
     path = Path(config).parent / "status"
     status = StatusSocket(path, gateway)
-    gateway.listen(status.tell)
-    loop = Live(gateway, [link], status.tell, clock=clock, door=status)
+    gateway.listen(status.report)
+    loop = Live(gateway, [link], status.report, clock=clock, door=status)
     context = multiprocessing.get_context("fork")
     opened, watched = context.Event(), context.Queue()
     watcher = context.Process(target=watch, args=(path, pages, harm, opened, end, watched)) if pages else None

@@ -118,7 +118,7 @@ def caught(_walls):
 @pytest.fixture(autouse=True)
 def _contract(monkeypatch):
     """Each event that a gateway in this process tells is one of the contract, and of its JSON Schema."""
-    places = {"gateway.runtime.outbox": ("Outbox", "_hand"), "gateway.live.daemon": ("Daemon", "_tell")}
+    places = {"gateway.runtime.outbox": ("Outbox", "_hand"), "gateway.live.daemon": ("Daemon", "_report")}
     places = {name: place for name, place in places.items() if name in sys.modules}  # not imported for tests without
     wrong = {}
     if places:

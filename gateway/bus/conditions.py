@@ -77,7 +77,7 @@ def name_digest(name: str) -> bytes:
     return blake2b(name.encode(), digest_size=7).digest()
 
 
-def _tell(frames: Frames, condition: int) -> NDArray[np.bool_]:
+def _reports(frames: Frames, condition: int) -> NDArray[np.bool_]:
     mask = frames["can_id"] == ERROR
     if mask.any():
         mask &= frames["data"][:, 0] == condition
@@ -86,7 +86,7 @@ def _tell(frames: Frames, condition: int) -> NDArray[np.bool_]:
 
 def overtimes(frames: Frames) -> NDArray[np.intp]:
     """Return the places of frames that tell that a step took too long."""
-    return np.flatnonzero(_tell(frames, OVERTIME))
+    return np.flatnonzero(_reports(frames, OVERTIME))
 
 
 def overtimes_in_place(frames: Frames) -> Frames:
@@ -100,7 +100,7 @@ def overtimes_in_place(frames: Frames) -> Frames:
 
 def are_steps(frames: Frames) -> NDArray[np.bool_]:
     """Return which frames tell a step of the wall clock, shape (n,)."""
-    return _tell(frames, STEPPED)
+    return _reports(frames, STEPPED)
 
 
 def are_conditions(frames: Frames) -> NDArray[np.bool_]:

@@ -57,12 +57,12 @@ def _main(
         typer.Option("--debug", help="Show tracebacks of errors (as GATEWAY_DEBUG=1 does)."),
     ] = False,
 ) -> None:
-    from gateway.cli.progress import tell_of_kernels
+    from gateway.cli.progress import report_compiling
 
     if debug:
         os.environ[DEBUG] = "1"  # also for processes that it starts
     log.to_stderr()
-    tell_of_kernels()
+    report_compiling()
 
 
 @app.command()

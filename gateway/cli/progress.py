@@ -115,7 +115,7 @@ class LogsDone:
             print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
-def tell_of_kernels() -> None:
+def report_compiling() -> None:
     """Have this process tell what it compiles, and the errors of its cache."""
     progress.listen(CompileProgress())
     progress.say = say

@@ -118,7 +118,7 @@ def run(
             path,
             bus=bus,
             memory=memory,
-            tell=printer,
+            report=printer,
             taps=taps,
             notifier=Notifier(),
             on_built=ending.ready,

@@ -261,7 +261,7 @@ def whole(stream: BinaryIO, path: Path) -> BytesIO:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _archive_errors(path: Path) -> Iterator[None]:
     """Raise what is wrong with an archive as an error of the gateway."""
     try:
         yield
@@ -291,7 +291,7 @@ def members_of(path: Path, suffix: str) -> Iterator[tuple[str, bytes]]:
     Raises:
         InputError: it cannot be read, or its members are more than its :class:`Budget` together.
     """
-    with _told(path):
+    with _archive_errors(path):
         for name, parts in _members(path, suffix):
             yield name, b"".join(parts)
 
@@ -302,7 +302,7 @@ def unpack(path: Path, folder: Path) -> None:
     Raises:
         InputError: as :func:`members_of`; a member would lie outside of the folder.
     """
-    with _told(path):
+    with _archive_errors(path):
         for name, parts in _members(path, ""):
             place = folder / name
             if "\\" in name or ":" in name or not place.resolve().is_relative_to(folder.resolve()):

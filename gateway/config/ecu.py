@@ -94,7 +94,7 @@ class ReadParams(StrictModel):
         return self.service or 0, self.identifier or 0
 
     @property
-    def told(self) -> str:
+    def rate(self) -> str:
         """How often it is read, for people."""
         conditions = f" while {' and '.join(one.signal for one in self.when)} are met" if self.when else ""
         return f"on {self.on}{conditions}" if self.on else f"every {self.every_ms:g} ms{conditions}"

@@ -35,7 +35,7 @@ def adopt(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[in
         buses: index of a bus in ``old`` -> its index in ``new``.
         cycles: index of an operation cycle in ``old`` -> its index in ``new``.
     """
-    old.tell_runs()
+    old.count_runs()
     clock = new.tables.clock[0]
     _take(clock, old.tables.clock[0], ClockState)
     _signals(new, old, buses)

@@ -14,7 +14,7 @@ from gateway.engine.buckets import Buckets, take
 from gateway.engine.checks.bus_health import ACTIVITIES, COUNTED, GONE, OFF, SILENT, SPOKEN, WHOLE
 from gateway.engine.checks.communication import COMES, NOT_YET, PROVEN, SAMPLES
 from gateway.engine.checks.kinds import RULE
-from gateway.engine.checks.runs import tell_all_runs
+from gateway.engine.checks.runs import count_all_runs
 from gateway.engine.debounce import all_detection_counters, fault_detection_counter, fold, reset_all
 from gateway.engine.events import Events
 from gateway.engine.gate import LEFT
@@ -149,7 +149,7 @@ class Engine:
             if self.pause_ns < NEVER:  # asked for by the sink
                 return joined([*sent, self._in_parts(frames[start:], sink, until_ns)])
 
-    def tell(self, sink: Sink) -> Frames:
+    def deliver(self, sink: Sink) -> Frames:
         """Give the events that wait where a pump has left to ``sink``; returns what the monitors have sent."""
         self._drain(sink)
         return self._sent()
@@ -328,17 +328,17 @@ class Engine:
 
     def take_buckets(self) -> Buckets:
         """Return what the test results of each fault were since the last call, shape (faults,) of Bucket."""
-        self.tell_runs()
+        self.count_runs()
         return take(self.tables.buckets)
 
-    def tell_runs(self) -> None:
+    def count_runs(self) -> None:
         """Bring the buckets up to date: runs of passes are counted with their messages (see engine.checks.runs)."""
         t = self.tables
-        tell_all_runs(t.checks, t.debounces, t.buckets)
+        count_all_runs(t.checks, t.debounces, t.buckets)
 
     def reset_debounce(self, faults: Iterable[int] | None = None) -> None:
         """Set debounce counters to zero: all of them, or those of some faults."""
-        self.tell_runs()
+        self.count_runs()
         self.tables.checks["steady"] = 0
         wanted = range(len(self.faults)) if faults is None else list(faults)
         reset_all(self.tables.debounces, np.asarray(wanted, np.int64))

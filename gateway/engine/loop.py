@@ -28,7 +28,7 @@ from gateway.engine.checks.bus_health import (
     await_anybody,
     heal_later,
     on_timer,
-    tells_loss,
+    reports_loss,
     watch_clock,
 )
 from gateway.engine.checks.bus_health_steps import on_sign_of_life, report_bus_results, skip_settled_windows
@@ -167,7 +167,7 @@ def take(T: Any, frame: Any, words: Any, own: int) -> None:
 @kernel
 def advance_to(T: Any, frame: Any, words: Any) -> None:
     """Move the clock to a frame."""
-    if frame["can_id"] & WOVEN == ERROR and tells_loss(frame["can_id"], int(np.int64(words[0]))):
+    if frame["can_id"] & WOVEN == ERROR and reports_loss(frame["can_id"], int(np.int64(words[0]))):
         # Before the deadlines in the gap: the frame that tells of a loss comes after the gap.
         restart_supervision(T, frame["t_ns"], frame["bus"], LOSS)
     advance(T, frame["t_ns"])

@@ -20,7 +20,7 @@ from gateway.faults.records import Changes, Cycle, Description, Permanent, Recor
 from gateway.faults.retry_policy import RetryPolicy
 from gateway.faults.status import PASSED
 from gateway.faults.store import Store, StoreError
-from gateway.faults.vehicle import EcuDtc, Told, VehicleMemory
+from gateway.faults.vehicle import DtcAnswer, EcuDtc, VehicleMemory
 from gateway.faults.writer_thread import Work, Writer
 
 #: Number in the store: how many failures and confirmations the memory has put in order; whether an entry had to be
@@ -236,7 +236,7 @@ class Ledger:
         self._more = self._more or told
         return made if told else None
 
-    def note_ecu_dtcs(self, told: Told, t_ns: int) -> list[tuple[EcuDtc, str]]:
+    def note_ecu_dtcs(self, told: DtcAnswer, t_ns: int) -> list[tuple[EcuDtc, str]]:
         """Note what an answer says of the DTCs of another ECU; returns what to tell of it."""
         changed, events = self.vehicle.take(told, t_ns)
         if changed:

@@ -55,7 +55,7 @@ def open_reader(path: Path) -> Store:
         return Store(path, write=False)
 
 
-def _told(facts: tuple[str, int, str] | None) -> dict[str, Any]:
+def _named(facts: tuple[str, int, str] | None) -> dict[str, Any]:
     """Return what a fault is called; null where the gateway that wrote the memory did not say."""
     if facts is None:
         return {"description": None, "severity": None, "class": None, "remedy": None}
@@ -102,7 +102,7 @@ def entries_in(store: Store, records: Sequence[Record], *, stored: bool) -> list
     return [
         {
             **as_dict(entry_of(record)),
-            **_told(told.get(record.id)),
+            **_named(told.get(record.id)),
             "permanent": record.id in permanent,
             "recordings": recorded.get(record.id, 0),
             "limits": facts.get(f"{LIMITS}{record.id}", 0),

@@ -18,7 +18,7 @@ SEVERITY = "1942"
 MOST = 2000
 
 
-class Told(NamedTuple):
+class DtcAnswer(NamedTuple):
     """Contents of an answer: an ECU's DTCs.
 
     Attributes:
@@ -94,7 +94,7 @@ class VehicleMemory:
         """Return them by ECU and DTC."""
         return [self._known[key] for key in sorted(self._known)]
 
-    def take(self, told: Told, t_ns: int) -> tuple[dict[tuple[str, str], EcuDtc | None], list[tuple[EcuDtc, str]]]:
+    def take(self, told: DtcAnswer, t_ns: int) -> tuple[dict[tuple[str, str], EcuDtc | None], list[tuple[EcuDtc, str]]]:
         """Take what an answer says.
 
         Args:
@@ -127,7 +127,7 @@ class VehicleMemory:
                 events.append((new, "changed"))
         return changed, events
 
-    def _next(self, told: Told, dtc: str, old: EcuDtc | None, t_ns: int) -> EcuDtc | None:
+    def _next(self, told: DtcAnswer, dtc: str, old: EcuDtc | None, t_ns: int) -> EcuDtc | None:
         """Return a DTC as it is after an answer; None: it is not worth an entry."""
         status = 0 if old is None else old.status
         if old is not None and dtc not in told.found and not told.may_name(old):

@@ -101,7 +101,7 @@ class Clock:
         return self._difference
 
     @property
-    def told_offset_ns(self) -> int:
+    def reported_offset_ns(self) -> int:
         """Time that the wall clock was ahead of the engine's where the frames are now [ns]."""
         return self.offset_ns - sum(step.step_ns for step in self.untold)
 

@@ -43,7 +43,7 @@ class Daemon:
         path: of the configuration.
         bus: URI instead of the configured one.
         memory: fault memory instead of the configured one.
-        tell: takes the events of the JSON contract.
+        report: takes the events of the JSON contract.
         taps: take every frame besides the configured recording.
         notifier: the service manager.
         machine: clocks, buses and threads; its clock gets the configured tolerance.
@@ -66,7 +66,7 @@ class Daemon:
         *,
         bus: str | None = None,
         memory: Path | None = None,
-        tell: Callable[[dict[str, Any]], None],
+        report: Callable[[dict[str, Any]], None],
         taps: Sequence[Tap] = (),
         notifier: Notifier | None = None,
         machine: Machine | None = None,
@@ -75,7 +75,7 @@ class Daemon:
         asked: Callable[[], bool] = lambda: False,
     ) -> None:
         self._path, self._bus, self._memory = path, bus, memory
-        self._listener, self._given_taps = tell, list(taps)
+        self._listener, self._given_taps = report, list(taps)
         self.status: StatusDoor | None = None
         self._fence = Fence()
         self._doors = Listeners(self._fence)
@@ -94,7 +94,7 @@ class Daemon:
         on_built()
         store = ResilientStore(memory or config.memory.path, connect=self._machine.connect, displacing=True)
         gateway = Gateway(config, file=path, parts=parts, store=store, fence=self._fence)
-        gateway.listen(self._tell)
+        gateway.listen(self._report)
         if self._machine.begin_writer is not None:
             gateway.write_beside(self._machine.begin_writer(), self._machine.patience_s)
         self.gateway = gateway
@@ -113,7 +113,7 @@ class Daemon:
             self._live = Live(
                 gateway,
                 links,
-                self._tell,
+                self._report,
                 taps=self._taps(),
                 clock=self._clock,
                 tick_s=self._machine.tick_s,
@@ -144,10 +144,10 @@ class Daemon:
             machine.sleep(min(left_s, LEAVING_S))
         self._well_s = machine.monotonic() + WELL_S
 
-    def _tell(self, event: dict[str, Any]) -> None:
+    def _report(self, event: dict[str, Any]) -> None:
         self._listener(event)
         if self.status is not None:
-            self.status.tell(event)
+            self.status.report(event)
 
     def _new_status(
         self, config: Config, path: Path | None, gateway: Gateway, links: Sequence[Link]
@@ -218,7 +218,7 @@ class Daemon:
         gateway.stop(gateway.engine.now_ns)
         for link in self._live.links:
             t_ns = gateway.engine.wall_ns(gateway.engine.now_ns)
-            self._tell(bus_event(link, "closed", t_ns))
+            self._report(bus_event(link, "closed", t_ns))
         if self.status is not None:
             self.status.turn(self._machine.monotonic(), wanted=True)
 
@@ -278,14 +278,14 @@ class Daemon:
         except GatewayError as error:
             self.gateway.go_on()
             log.error("new configuration refused", file=str(self._path), error=str(error))
-            self._tell_config("refused", str(error))
+            self._report_config("refused", str(error))
         else:
             log.info("new configuration", file=str(self._path))
-            self._tell_config("reloaded", "")
+            self._report_config("reloaded", "")
         self._notifier.ready(self.describe())
 
-    def _tell_config(self, state: str, reason: str) -> None:
-        self._tell(
+    def _report_config(self, state: str, reason: str) -> None:
+        self._report(
             {
                 "event": "config",
                 "t_ns": self._clock.wall(),

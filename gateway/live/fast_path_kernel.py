@@ -386,7 +386,7 @@ def _transmit(P: Any, s: Any) -> bool:
 
 
 @kernel
-def _tell(P: Any, s: Any) -> None:
+def _send_early(P: Any, s: Any) -> None:
     """Send the DTC frames of the verdicts that wait, if it is foreseen what they are; Python does the rest."""
     clock, foreseen = P.clock, P.foreseen
     side = P.sides[foreseen.head[0].bus]
@@ -422,7 +422,7 @@ def _run(P: Any, s: Any) -> int:
         s.start = P.results[0]
         if clock[s.urgent_at] != 0:
             if s.foretells != NOBODY:
-                _tell(P, s)
+                _send_early(P, s)
             return EVENTS
         if clock[s.sent_at] > clock[s.taken_at]:
             return SENDING

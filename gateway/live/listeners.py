@@ -50,7 +50,7 @@ class TableDoor(OpenDoor, Protocol):
 class StatusDoor(OpenDoor, Protocol):
     """The socket on which the daemon shows what it does."""
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def report(self, event: dict[str, Any]) -> None:
         """Show an event of the JSON contract to all readers."""
 
     def replace(self, gateway: Gateway) -> None:

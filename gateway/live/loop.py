@@ -91,7 +91,7 @@ class Fed(Protocol):
     def journal(self) -> Journalled:
         """Memory of the journal that takes verdicts."""
 
-    def tell(self, gone: Frames) -> Frames:
+    def deliver(self, gone: Frames) -> Frames:
         """Take what the engine has to tell where a pump has left; returns the frames to send, without those gone."""
 
     def resume(self, frames: Frames, start: int) -> Frames:
@@ -144,7 +144,7 @@ class Live:
     Args:
         gateway: started already.
         links: its buses, in the order of their indices; started already.
-        tell: takes the events of the buses.
+        report: takes the events of the buses.
         taps: take each frame exactly as the engine gets it, but for the stamp, and what is sent.
         clock: the engine's, the same as that of the links.
         tick_s: longest wait without traffic while something else than time is waited for [s]; 0: never wait.
@@ -158,7 +158,7 @@ class Live:
         self,
         gateway: Fed,
         links: Sequence[Link],
-        tell: Callable[[dict[str, Any]], None],
+        report: Callable[[dict[str, Any]], None],
         *,
         taps: Sequence[Tap] = (),
         clock: Clock,
@@ -173,10 +173,10 @@ class Live:
         self._knocked = False
         self._gateway = gateway
         self._links = list(links)
-        self._tell = tell
+        self._report_event = report
         self._taps = list(taps)
         self._clock, self._tick_s, self._monotonic = clock, tick_s, monotonic
-        self._offset_ns = clock.told_offset_ns  # of what the taps have got
+        self._offset_ns = clock.reported_offset_ns  # of what the taps have got
         self._more = True  # whether there may be frames that no descriptor tells
         self._told = {id(link): (0, 0, 0.0) for link in links}  # overflow, exceptions of the driver, when
         self._poll = self._keep = 0.0
@@ -194,7 +194,7 @@ class Live:
         """Feed another gateway from now on; no frame is lost between the two."""
         self._gateway = gateway
         self._links, self._taps = list(links), list(taps)
-        self._offset_ns = self._clock.told_offset_ns
+        self._offset_ns = self._clock.reported_offset_ns
         self._told = {id(link): self._told.get(id(link), (0, 0, 0.0)) for link in links}
         self._held = {id(link): self._held[id(link)] for link in links if id(link) in self._held}
         self._choose()
@@ -297,7 +297,7 @@ class Live:
             self._gateway.took(left.taken)
             for link, mine in self._by_link(left.told):
                 self._show(link, mine)
-            self._send(self._gateway.tell(left.told))
+            self._send(self._gateway.deliver(left.told))
             self._take_overtimes_down()
         links = list(zip(self._links, left.received, strict=True)) if left.received else []
         if left.raw:
@@ -408,7 +408,7 @@ class Live:
             if state is not None:
                 link = self._links[int(frame["bus"])]
                 t_ns = int(frame["t_ns"]) + self._clock.offset_ns
-                self._tell(bus_event(link, state, t_ns))
+                self._report_event(bus_event(link, state, t_ns))
                 self._keep = 0.0  # at the next look
 
     def _send(self, frames: Frames) -> None:
@@ -451,9 +451,9 @@ class Live:
             self._told[id(link)] = (found.overflow, found.driver_errors, now)
             if found.overflow > told:
                 log.warning("frames lost in a queue", bus=link.name, lost=found.overflow - told)
-                self._tell(bus_event(link, "overflow", self._clock.wall()))
+                self._report_event(bus_event(link, "overflow", self._clock.wall()))
             else:
-                self._tell(bus_event(link, "failing", self._clock.wall()))
+                self._report_event(bus_event(link, "failing", self._clock.wall()))
             changed = True
         if changed or now >= self._keep:
             self.keep()

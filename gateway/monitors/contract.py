@@ -256,7 +256,7 @@ class MonitorParams(StrictModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _tell_what_has_moved(cls, data: Any) -> Any:
+    def _refuse_moved(cls, data: Any) -> Any:
         for key, where in cls.moved.items():
             name, _, value = key.partition(" = ")
             if isinstance(data, dict) and name in data and value in ("", str(data[name])):

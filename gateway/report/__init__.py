@@ -166,7 +166,7 @@ class Reporter:
         while True:
             try:
                 _wait(connection, until_s)
-                told = _told(connection)
+                told = _read_answer(connection)
             except TimeoutError:
                 self._open.add(self._number)
                 return Answer(False, UNANSWERED, "no answer in time")
@@ -184,7 +184,7 @@ class Reporter:
     def _last_word(self, connection: socket.socket) -> Answer | None:
         connection.setblocking(False)
         try:
-            told = _told(connection)
+            told = _read_answer(connection)
         except OSError:
             return None
         return None if told is None or told[0] is not None else told[1]
@@ -223,7 +223,7 @@ def _wait(connection: socket.socket, until_s: float) -> None:
     connection.settimeout(left)
 
 
-def _told(connection: socket.socket) -> tuple[int | None, Answer] | None:
+def _read_answer(connection: socket.socket) -> tuple[int | None, Answer] | None:
     """Return the number of a report and the answer; None: the connection has ended.
 
     Raises:

@@ -59,7 +59,7 @@ class Gateway(Ingest):
         self.note_restart(self.engine.wall_ns(t_ns))
         self.controls.start_cycle(t_ns)
         self.engine.leave_open(k for k, name in enumerate(self.parts.cycles) if self.memory.cycles.is_left_open(name))
-        self._outbox.note(*self._restarted.told())
+        self._outbox.note(*self._restarted.events())
         self._keep_off()
         self._diagnosis.begin(t_ns)
 

@@ -129,9 +129,9 @@ class Composition:
         self._outbox = Outbox(self.memory, self.store, self.engine, own, send, first=first)
         self._upkeep = self._outbox.upkeep
         names = [bus.name for bus in self.config.buses]
-        self._doubts = FailingRules(self.engine, self.parts.checks, self.parts.databases, names, self._outbox.tell)
+        self._doubts = FailingRules(self.engine, self.parts.checks, self.parts.databases, names, self._outbox.report)
         self._proofs = Proofs(self.engine, self.memory)
-        self.security = Security(self._outbox.tell)
+        self.security = Security(self._outbox.report)
         checks = {check.name for check in self.parts.checks}
         self._strangers = SecurityEvents(self.engine, names, checks, self.security)
         self._suspicions = Suspicions(self.engine, self.security.note)
@@ -195,5 +195,5 @@ class Composition:
             return Reports()
         if REPORTS not in CALLS:
             raise InputError("no installed package takes reports", key="report")
-        made: Reports = CALLS[REPORTS](params, self.engine, self.controls, self._verdicts.take, self._outbox.tell)
+        made: Reports = CALLS[REPORTS](params, self.engine, self.controls, self._verdicts.take, self._outbox.report)
         return made

@@ -163,7 +163,7 @@ EVENTS: dict[str, Kind] = {
 }
 
 
-def told_to_fleet(event: Mapping[str, Any]) -> str:
+def reported_to_fleet(event: Mapping[str, Any]) -> str:
     """Return whether a fleet is told of an event: :data:`HERE`, :data:`EVENT` or :data:`DETAIL`."""
     kind = EVENTS.get(event["event"])
     return HERE if kind is None else kind.fleet

@@ -64,7 +64,7 @@ class DisabledMonitors:
             reason = None if hung is None else hung.reason(instance.name, instance.monitor.digest)
             if reason is not None and not self._engine.tables.handlers[k]["off"]:
                 self._engine.switch_off(k, HUNG)
-                told.append(self._told(k, self._engine.wall_ns(self._engine.now_ns), reason))
+                told.append(self._event(k, self._engine.wall_ns(self._engine.now_ns), reason))
         return told
 
     def on_event(self, event: Event, bus: str) -> dict[str, Any]:
@@ -77,7 +77,7 @@ class DisabledMonitors:
         python = self._engine.monitors[place].monitor.capability(Failure)
         if python is not None and python.late(state):
             self._overtimes.append(overtime_frame(event.t_ns, self._engine.monitors[place].name))
-        return self._told(place, event.t_ns, f"its step failed: {reason}", bus)
+        return self._event(place, event.t_ns, f"its step failed: {reason}", bus)
 
     def take_overtimes(self) -> Frames:
         """Return frames for recordings, of monitors whose step took too long since the last call."""
@@ -95,10 +95,10 @@ class DisabledMonitors:
             if name_digest(instance.name) == digest and not self._engine.tables.handlers[k]["off"]:
                 self._engine.switch_off(k, LATE)
                 reason = "its step took too long in the run that was recorded"
-                told.append(self._told(k, self._engine.wall_ns(int(frame["t_ns"])), reason))
+                told.append(self._event(k, self._engine.wall_ns(int(frame["t_ns"])), reason))
         return told
 
-    def _told(self, place: int, t_ns: int, reason: str, bus: str = "") -> dict[str, Any]:
+    def _event(self, place: int, t_ns: int, reason: str, bus: str = "") -> dict[str, Any]:
         instance = self._engine.monitors[place]
         told = {**_who(instance), "reason": reason}
         log.error("a monitor is switched off; its faults are not tested, all others go on", **told)

@@ -49,13 +49,13 @@ class ExceptionEvents:
         """Tell what is new, and report the fault where that is news."""
         now, news = self._engine.now_ns, self._fence.has_news
         if news:
-            self._tell(now)
+            self._note(now)
         while self._times and now - self._times[0][0] > WINDOW_NS:
             self._times.popleft()
         if self._place is not None and self._engine.due_ns >= 0:
             self._report(self._place, news=news)
 
-    def _tell(self, now: int) -> None:
+    def _note(self, now: int) -> None:
         total = second = 0
         for kind, caught in self._fence.take().items():
             context = {"exception": kind.exception, "place": kind.place, "peer": caught.peer}

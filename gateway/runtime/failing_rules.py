@@ -24,7 +24,7 @@ class FailingRules:
         checks: in the engine's order.
         databases: of each bus.
         names: of the buses.
-        tell: takes the event.
+        report: takes the event.
     """
 
     def __init__(
@@ -33,10 +33,10 @@ class FailingRules:
         checks: Sequence[CheckInstance],
         databases: Sequence[Database],
         names: Sequence[str],
-        tell: Callable[[dict[str, Any]], None],
+        report: Callable[[dict[str, Any]], None],
     ) -> None:
         self._engine, self._checks, self._databases = engine, checks, databases
-        self._names, self._tell = names, tell
+        self._names, self._report = names, report
         self._thread: ThreadPoolExecutor | None = None
         self._sought: list[Future[dict[str, Any]]] = []
 
@@ -51,7 +51,7 @@ class FailingRules:
             return
         index, payloads = found
         if self._thread is None:
-            self._told(self._event(index, payloads, t_ns))
+            self._report_rule(self._event(index, payloads, t_ns))
         else:
             self._sought.append(self._thread.submit(self._event, index, payloads, t_ns))
 
@@ -66,7 +66,7 @@ class FailingRules:
             done = [each for each in self._sought if each.done()]
             self._sought = [each for each in self._sought if not each.done()]
             for each in done:
-                self._told(each.result())
+                self._report_rule(each.result())
 
     def succeed(self, old: FailingRules) -> None:
         """Go on with the thread of the gateway before, and its search."""
@@ -92,7 +92,7 @@ class FailingRules:
             "differs": differing(asked, payloads),
         }
 
-    def _told(self, event: dict[str, Any]) -> None:
+    def _report_rule(self, event: dict[str, Any]) -> None:
         of = {"bus": event["bus"], "message": event["message"], "configured": event["rule"]}
         if event["differs"]:
             text = "the checksum of every frame is right, but its header is not the one configured"
@@ -101,4 +101,4 @@ class FailingRules:
             fits = ", ".join(event["fits"]) or "none that the gateway knows"
             text = "no frame, or too few, ever passed the checksum: the rule is likely another one"
             _log.warning(text, **of, fits=fits)
-        self._tell(event)
+        self._report(event)

@@ -78,10 +78,10 @@ class Ingest(Composition):
         if self._recorder is not None:
             due_ns = min(due_ns, self._recorder.due_ns + 1)
         before_ns = EVERYTHING if before_ns is None else before_ns
-        foretells = self._foretells(settled)
+        foretells = self._early_sender(settled)
         return FastPathConditions(before_ns, due_ns, self.next_ns, self._heard, self.controls.send, foretells, settled)
 
-    def _foretells(self, settled: bool) -> int:
+    def _early_sender(self, settled: bool) -> int:
         """Return who may send DTC frames of verdicts; ``settled``: nothing waits that is to be told before."""
         may, first = settled and self._dtc_frames is not None and self.controls.send, self._outbox.first
         journal = self.store.arm_journal(may and not first)
@@ -101,16 +101,16 @@ class Ingest(Composition):
             self._recorder.on_frames(frames, self.engine.offset_ns)
         self._reception.hear(frames)
 
-    def tell(self, gone: Frames = _NO_FRAMES) -> Frames:
+    def deliver(self, gone: Frames = _NO_FRAMES) -> Frames:
         """Take the events of the engine where a pump has left; returns the frames to send, before it goes on.
 
         Args:
             gone: DTC frames of these events that it has sent.
         """
         if self._dtc_frames is None or not len(gone):
-            return self._emit(self._reception.tell())
+            return self._emit(self._reception.deliver())
         self._dtc_frames.prepared.note(gone)
-        sent = self._reception.tell()
+        sent = self._reception.deliver()
         corrected = self._dtc_frames.correct(self._outbox.noted, self.engine.now_ns)
         return joined([self._emit(sent), corrected])
 

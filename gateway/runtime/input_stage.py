@@ -56,9 +56,9 @@ class InputStage:
                 sent += [self._process_piece(piece), self._look(look_ns)]
         return joined(sent)
 
-    def tell(self) -> Frames:
+    def deliver(self) -> Frames:
         """Take the events that wait where a pump has left; returns what the monitors have sent."""
-        return self._engine.tell(self._sink)
+        return self._engine.deliver(self._sink)
 
     def resume(self, frames: Frames, start: int) -> Frames:
         """Go on with a batch that a pump has begun; returns what the monitors send."""

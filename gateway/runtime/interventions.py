@@ -70,7 +70,7 @@ class Interventions:
         self._standing.after_clear(cleared)
         gone = sorted(self._entries.intersection(cleared))
         t_ns = self._engine.wall_ns(self._engine.now_ns)
-        self._outbox.tell(clear_event(t_ns, gone))
+        self._outbox.report(clear_event(t_ns, gone))
         self._verdicts.look_again()
 
     def serve_requests(self) -> None:

@@ -22,7 +22,7 @@ from gateway.engine.core import Engine, Sink
 from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory
 from gateway.faults.resilient_store import ResilientStore
-from gateway.runtime.contract import DETAIL, HERE, told_to_fleet
+from gateway.runtime.contract import DETAIL, HERE, reported_to_fleet
 from gateway.runtime.persistence import NOTHING, Noted, Persistence
 
 #: Takes one event of the JSON contract.
@@ -62,7 +62,7 @@ class Outbox:
         self._changes: list[DtcChange] = []  # not told yet, nor are these events
         self._untold: list[dict[str, Any]] = []
         self._early: list[Frames] = []  # to be sent before anything else
-        self.upkeep = Persistence(memory, store, engine, self.tell)
+        self.upkeep = Persistence(memory, store, engine, self.report)
 
     def succeed(self, old: Outbox) -> None:
         """Go on where that of an earlier configuration stops: events that wait there are told here."""
@@ -98,14 +98,14 @@ class Outbox:
         """Have events wait for the fleet: they are written with what they tell."""
         if self._fleet.offered:
             for event in events:
-                if (how := told_to_fleet(event)) != HERE:
+                if (how := reported_to_fleet(event)) != HERE:
                     self._fleet.post(event, detail=how == DETAIL)
 
     def note_changes(self, changes: Iterable[DtcChange]) -> None:
         """Keep changes to be sent when they are stored; their events are noted by :meth:`note`."""
         self._changes += changes
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def report(self, event: dict[str, Any]) -> None:
         """Tell an event at once, for which nothing has to be stored."""
         self._post(event)
         self._hand(event)
@@ -142,7 +142,7 @@ class Outbox:
             return []  # as for nearly every batch
         for report in self._own:
             report(sink)
-        early = self._tell_early() if self.first else []
+        early = self._report_early() if self.first else []
         if early and not (asked or final):
             return early  # on their way, before anything is waited for
         waiting, self._changes = self._changes, []
@@ -170,7 +170,7 @@ class Outbox:
             self._hand({"event": "stored", "t_ns": t_ns, "faults": list(dict.fromkeys(known))})
         return early + own + waiting[ahead.changes : may.changes]
 
-    def _tell_early(self) -> list[DtcChange]:
+    def _report_early(self) -> list[DtcChange]:
         """Tell what is noted as not stored; returns the changes to send."""
         for event in self._untold[self._ahead.events :]:
             if event["event"] == "dtc":

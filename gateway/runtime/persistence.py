@@ -60,7 +60,7 @@ class Persistence:
         memory: the fault memory.
         store: its file.
         engine: debounces the gateway's own faults.
-        tell: takes events of the JSON contract.
+        report: takes events of the JSON contract.
 
     Attributes:
         not_stored: changes of DTCs that were told while they were not stored.
@@ -71,9 +71,9 @@ class Persistence:
         memory: FaultMemory,
         store: ResilientStore,
         engine: Engine,
-        tell: Callable[[dict[str, Any]], None],
+        report: Callable[[dict[str, Any]], None],
     ) -> None:
-        self._memory, self._store, self._engine, self._tell = memory, store, engine, tell
+        self._memory, self._store, self._engine, self._report_event = memory, store, engine, report
         places = {slot.id: k for k, slot in enumerate(engine.faults)}
         self._places = {f: places.get(f"{OWNER}.{f.name}") for f in (NOT_WRITTEN, DAMAGED)}
         self._pace = WriteThrottle()
@@ -229,16 +229,16 @@ class Persistence:
         news = False
         incidents = self._store.incidents()
         for incident in incidents:
-            self._tell_mishap(incident, t_ns)
+            self._report_incident(incident, t_ns)
         if not self._tested:
-            self._tell_recovered(t_ns)
+            self._report_recovered(t_ns)
         if incidents or not self._tested:
             recovered, lost = sum(m.recovered for m in incidents), sum(m.lost for m in incidents)
             self._report(DAMAGED, bool(incidents), lost, (recovered, lost), sink)
             news = True
         down = bool(self._memory.outage.reason) or bool(self._store.detached)
         if down != self._down or not self._tested:
-            self._tell_outage(t_ns, down=down, news=down != self._down)
+            self._report_outage(t_ns, down=down, news=down != self._down)
             self._down = down
             waiting = self._memory.unsaved
             self._report(NOT_WRITTEN, down, float(down), (waiting,), sink)
@@ -253,7 +253,7 @@ class Persistence:
         if place is not None:
             self._engine.report(place, failed, value, 0.0, evidence, sink)
 
-    def _tell_mishap(self, incident: Incident, t_ns: int) -> None:
+    def _report_incident(self, incident: Incident, t_ns: int) -> None:
         aside = "" if incident.aside is None else str(incident.aside)
         log.error(
             "new fault memory begun",
@@ -268,14 +268,14 @@ class Persistence:
             aside=aside, recovered=incident.recovered, lost=incident.lost,
         )  # fmt: skip
 
-    def _tell_recovered(self, t_ns: int) -> None:
+    def _report_recovered(self, t_ns: int) -> None:
         """Tell which verdicts an earlier process told, and did not come to write."""
         faults, lost = self._memory.recovered
         if faults or lost:
             reason = "told right before the last end"
             self._event(t_ns, "recovered", reason, recovered=len(faults), lost=lost, faults=list(faults))
 
-    def _tell_outage(self, t_ns: int, *, down: bool, news: bool) -> None:
+    def _report_outage(self, t_ns: int, *, down: bool, news: bool) -> None:
         if not news:
             return
         outage = self._memory.outage
@@ -294,7 +294,7 @@ class Persistence:
             self._event(t_ns, "written", "")
 
     def _event(self, t_ns: int, state: str, reason: str, **more: object) -> None:
-        self._tell(
+        self._report_event(
             {
                 "event": "memory",
                 "t_ns": self._engine.wall_ns(t_ns),

@@ -46,7 +46,7 @@ class RestartDtc:
             return None
         return self._memory.restarts.note(t_ns, boot, hung_beside(self._file).monitors)
 
-    def told(self) -> list[dict[str, Any]]:
+    def events(self) -> list[dict[str, Any]]:
         """Log what the start has found, and return the event that tells it; none after a stop."""
         found = self._memory.restarts.found
         if found is None:

@@ -37,11 +37,11 @@ class Security:
     """Takes the events of sensors, and tells them at a bounded rate.
 
     Args:
-        tell: takes events of the JSON contract.
+        report: takes events of the JSON contract.
     """
 
-    def __init__(self, tell: Callable[[dict[str, Any]], None]) -> None:
-        self._tell = tell
+    def __init__(self, report: Callable[[dict[str, Any]], None]) -> None:
+        self._report = report
         self._kinds: dict[tuple[str, str], _Kind] = {}
 
     def succeed(self, old: Security) -> None:
@@ -89,4 +89,4 @@ class Security:
         told = {"sensor": key[0], "kind": key[1], "count": kind.waiting, "total": kind.total}
         kind.told_ns, kind.waiting = t_ns, 0
         _log.warning("security event", **told, **{f"context_{name}": value for name, value in kind.context.items()})
-        self._tell({"event": "security", "t_ns": t_ns, **told, "context": dict(kind.context)})
+        self._report({"event": "security", "t_ns": t_ns, **told, "context": dict(kind.context)})

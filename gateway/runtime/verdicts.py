@@ -109,14 +109,14 @@ class Verdicts:
             passed = faults[at:end][kinds[at:end] == QUALIFIED_PASSED].tolist()
             if end > at and self._memory.complete(passed):  # none of these faults is there
                 if self._outbox.is_heard:
-                    self._tell(each(events[at:end]))
+                    self._report(each(events[at:end]))
                 at = end
             for event in each(events[at : end + 1]):
                 self._take_one(event)
             at = end + 1
         self._diagnosis.take(events)
 
-    def _tell(self, events: Sequence[Event]) -> None:
+    def _report(self, events: Sequence[Event]) -> None:
         self._outbox.note(*monitor_events(events, self._catalogue, self._buses))
 
     def _take_one(self, event: Event) -> None:
@@ -157,7 +157,7 @@ class Verdicts:
         changes = self._memory.apply(event, self._observe)
         told = self.note_changes(changes)
         if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
-            self._tell([event])
+            self._report([event])
 
     def look_again(self) -> None:
         """Have it looked at what explains the faults: verdicts have been taken back, of which no event tells."""

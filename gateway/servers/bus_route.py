@@ -64,12 +64,12 @@ class BusRoute(IsotpServer):
     def _pass_on(self, request: bytes, functional: bool, t_ns: int) -> None:
         """Pass a request on, if it may."""
 
-        def tell(answer: bytes) -> None:
+        def send_answer(answer: bytes) -> None:
             self._answers.append(answer)
             self._wake()
 
         by = self._transport.asked_by(functional=functional)
-        self.route.pass_on(request, self._server, t_ns, tell, functional=functional, by=by)
+        self.route.pass_on(request, self._server, t_ns, send_answer, functional=functional, by=by)
 
     def on_time(self, t_ns: int) -> Frames:
         """Send answers that have come, and run separation times and timeouts."""

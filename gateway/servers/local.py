@@ -194,7 +194,7 @@ class LocalServer(BusServer):
             return
         waits = True
 
-        def tell(answer: bytes) -> None:
+        def send_answer(answer: bytes) -> None:
             nonlocal waits
             if is_pending(answer):
                 return
@@ -205,7 +205,7 @@ class LocalServer(BusServer):
             waits = False
 
         route = self.routes[asked.ecu]
-        route.pass_on(asked.request, one.server, self._now_ns, tell)
+        route.pass_on(asked.request, one.server, self._now_ns, send_answer)
         if waits and route.is_quiet(asked.request):
             waits = False
             asked.done([])
@@ -214,10 +214,10 @@ class LocalServer(BusServer):
         """Push the responses that testers asked for on changes (0x86)."""
         self._now_ns = max(self._now_ns, t_ns)
         for one in list(self._testers.values()):
-            self.wall.keep(self._tell_changes, one, changes, of=one, ends=self._fail)
+            self.wall.keep(self._report_changes, one, changes, of=one, ends=self._fail)
         return empty(0)
 
-    def _tell_changes(self, one: _Tester, changes: Sequence[DtcChange]) -> None:
+    def _report_changes(self, one: _Tester, changes: Sequence[DtcChange]) -> None:
         for answer in one.server.on_changes(changes, self._now_ns):
             self.push(one.reader, one.name, answer)
 

@@ -51,20 +51,22 @@ class Route:
         self._counts["routes_refused"] += bool(code)
         return bytes([0x7F, request[0], code]) if code else b""
 
-    def ask(self, request: bytes, owner: object, tell: Callable[[bytes | None], None], *, functional: bool) -> bool:
+    def ask(
+        self, request: bytes, owner: object, send_answer: Callable[[bytes | None], None], *, functional: bool
+    ) -> bool:
         """Have a request sent that may pass; returns whether there is room for it.
 
         Args:
             request: at most LONGEST_REQUEST bytes.
             owner: the tester.
-            tell: takes each answer that the tester is told; None: none comes.
+            send_answer: takes each answer that the tester is told; None: none comes.
             functional: whether it is to all ECUs.
         """
 
         def done(answer: bytes | None) -> None:
             self._counts["routes_without_answer"] += answer is None
-            if answer is None or is_told(answer, functional):
-                tell(None if answer is None else self._stamped(answer))
+            if answer is None or is_answered(answer, functional):
+                send_answer(None if answer is None else self._stamped(answer))
 
         taken = self.line.ask(request, owner, done)
         self._counts["routed" if taken else "routes_skipped"] += 1
@@ -75,7 +77,7 @@ class Route:
         request: bytes,
         server: UdsServer,
         t_ns: int,
-        tell: Callable[[bytes], None],
+        send_answer: Callable[[bytes], None],
         *,
         functional: bool = False,
         by: int | None = None,
@@ -86,14 +88,14 @@ class Route:
             request: its bytes.
             server: of the tester's session.
             t_ns: now.
-            tell: takes each answer: the ECU's, a refusal, 0x25 (no response), 0x21 (no room for it now).
+            send_answer: takes each answer: the ECU's, a refusal, 0x25 (no response), 0x21 (no room for it now).
             functional: whether it is to all ECUs.
             by: as of :meth:`refusal`.
         """
 
         def answered(answer: bytes | None) -> None:
             if answer is not None or not functional:
-                tell(bytes([0x7F, request[0], Nrc.NO_RESPONSE_FROM_SUBNET]) if answer is None else answer)
+                send_answer(bytes([0x7F, request[0], Nrc.NO_RESPONSE_FROM_SUBNET]) if answer is None else answer)
 
         if not self.line.is_open:
             self._counts["routes_skipped"] += 1
@@ -101,15 +103,15 @@ class Route:
             return
         refusal = self.refusal(request, server, t_ns, by)
         if refusal:
-            answered(refusal if is_told(refusal, functional) else None)
+            answered(refusal if is_answered(refusal, functional) else None)
         elif not self.ask(request, server, answered, functional=functional) and not functional:
-            tell(bytes([0x7F, request[0], Nrc.BUSY]))
+            send_answer(bytes([0x7F, request[0], Nrc.BUSY]))
 
     def is_quiet(self, request: bytes) -> bool:
         """Return whether no good answer comes to a request."""
         return self.line.is_quiet(request)
 
 
-def is_told(answer: bytes, functional: bool) -> bool:
+def is_answered(answer: bytes, functional: bool) -> bool:
     """Return whether a tester is told an answer: refusals of those that were not meant are not, when all were asked."""
     return not (functional and answer[0] == 0x7F and len(answer) > 2 and answer[2] in SILENT_WHEN_FUNCTIONAL)

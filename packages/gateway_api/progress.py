@@ -30,14 +30,14 @@ def shown(progress: Progress) -> Iterator[Callable[[float], None]]:
     bar = _notebook() or _Line()
     last = -1.0
 
-    def tell(share: float) -> None:
+    def report(share: float) -> None:
         nonlocal last
         if abs(share - last) >= STEP:
             last = share
             bar.show(min(share, 1.0))
 
     try:
-        yield tell
+        yield report
     finally:
         bar.clear()
 

@@ -207,10 +207,10 @@ class Setup:
             recorded = Log(path_of(log, "log", "a path, or frames"), self.config, _texts(maps, "maps"))
             if not allow_empty:
                 recorded.refuse_foreign(self._databases)
-            with shown(progress) as tell:
+            with shown(progress) as report:
                 for frames in recorded:
                     session.feed(frames)
-                    tell(recorded.reader.bytes_done / max(recorded.reader.bytes_total, 1))
+                    report(recorded.reader.bytes_done / max(recorded.reader.bytes_total, 1))
             found = recorded.contents(allow_empty=allow_empty, allow_cut=allow_cut)
             session.notes += found.notes
             if found.wrong:

@@ -11,7 +11,7 @@ from gateway_ask.answers.answer_frames import NEGATIVE, FrameEncoder
 from gateway_ask.answers.monitor_tests import Result, results
 from gateway_ask.answers.obd_on_uds import as_classic
 from gateway_ask.clients.ask import PROBES, Ask
-from gateway_ask.clients.dtcs import told_by
+from gateway_ask.clients.dtcs import read_dtcs
 from gateway_ask.clients.ecu import SILENT, EcuClient
 from gateway_ask.clients.poller import Ecu
 from gateway_ask.clients.protocols import DTC_REQUESTS
@@ -91,7 +91,7 @@ class Questioned(EcuClient):
             more += [request[:-1] + bytes([each]) for each in INFOTYPES if each in there]
         self.asks += [Ask(each, NEVER) for each in more]
 
-    def _tell(self, ask: Ask) -> None:
+    def _take_refusal(self, ask: Ask) -> None:
         """A refusal is an answer here."""
 
     def _absent(self, t_ns: int) -> None:
@@ -221,7 +221,7 @@ class Said:
         found: dict[str, int] = {}
         for request, _ in DTC_REQUESTS.get(self.reads_dtcs, ()):
             answer = self.answers.get(request)
-            told = told_by("", answer, request) if answer else None
+            told = read_dtcs("", answer, request) if answer else None
             for dtc, status in told.found.items() if told is not None else ():
                 found[dtc] = found.get(dtc, 0) | status
         return found

@@ -14,7 +14,7 @@ from gateway.engine.core import Engine, Sink
 from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory
 from gateway.faults.status import Status
-from gateway.faults.vehicle import TOLD, EcuDtc, Told
+from gateway.faults.vehicle import TOLD, DtcAnswer, EcuDtc
 from gateway.servers.bus_server import BusServer
 from gateway_ask.clients.ask import PROBES
 from gateway_ask.clients.poller import TELLS, Ecu, Poller
@@ -80,7 +80,7 @@ class Vehicle(BusServer):
             self._asking.on_dtc(None, t_ns)
         return empty(0)
 
-    def _test(self, told: Told) -> None:
+    def _test(self, told: DtcAnswer) -> None:
         """Report the faults that stand for DTCs of which the answer speaks."""
         known = {each.dtc: each for each in self._memory.vehicle.all() if each.ecu == told.ecu}
         for of, place in self._faults.get(told.ecu, ()):

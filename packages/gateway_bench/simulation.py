@@ -34,13 +34,13 @@ def simulate(
             writer.write(frames)
 
     try:
-        with shown(progress) as tell, nullcontext() if record is None else open_writer(record) as writer:
+        with shown(progress) as report, nullcontext() if record is None else open_writer(record) as writer:
             drive(
                 observed.gateway,
                 player,
                 judge=judge,
                 on_frames=on_frames,
-                on_step=lambda t_ns: tell(t_ns / 1e9 / found.duration_s),
+                on_step=lambda t_ns: report(t_ns / 1e9 / found.duration_s),
                 fed=observed.fed,
             )
         judged = bool(found.expect) and config.output.dtc_frame is not None

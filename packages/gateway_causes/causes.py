@@ -225,7 +225,7 @@ class Causes:
     def _renew(self, t_ns: int) -> None:
         """Bring up to date what no event tells: tests that were reset, and until when tests passed."""
         engine, diagnoser, self._reset = self._engine, self._diagnoser, False
-        engine.tell_runs()
+        engine.count_runs()
         known = diagnoser.state.verdict[: len(self._tests)]
         now = engine.tables.debounces["verdict"][self._index]
         for place in np.flatnonzero((now == 0) & (known != NOT_TESTED)).tolist():

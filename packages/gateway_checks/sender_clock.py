@@ -126,7 +126,7 @@ def change_together(s: Any, c: Any) -> bool:
 
 
 @kernel
-def tell(s: Any, c: Any, out: Any, k: int, t_ns: int, ratio: float) -> None:
+def report_test(s: Any, c: Any, out: Any, k: int, t_ns: int, ratio: float) -> None:
     """Take a judgement of a message, count a new suspicion, and report it."""
     failed = ratio >= (1.0 if s.alarmed[k] == 0 else RELEASED)
     if failed and s.alarmed[k] == 0:
@@ -171,7 +171,7 @@ def step(s: State, c: Const, u: contract.Inputs, out: Out[Evidence, Record]) -> 
     ratio = judge(one, c, dt)
     if ratio > 0.5 and change_together(s, c):
         return
-    tell(s, c, out, k, u.t_ns, ratio)
+    report_test(s, c, out, k, u.t_ns, ratio)
 
 
 def faults(p: Params) -> tuple[Fault, ...]:

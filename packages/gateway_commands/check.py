@@ -143,7 +143,7 @@ def asked_of(config: Config) -> Iterator[str]:
     for ecu in config.ecu:
         bus = config.bus[config.bus_index(ecu.bus)]
         silent = "; the bus is only listened to: nothing is asked" if bus.listen_only else ""
-        reads = [f"{read.name} {read.told}" for read in ecu.read]
+        reads = [f"{read.name} {read.rate}" for read in ecu.read]
         dtcs = [] if ecu.dtcs is None else [f"DTCs ({ecu.dtc_protocol}) every {ecu.dtcs.every_s:g} s"]
         place = ecu.place
         ids = f"0x{place.request & ID_MASK:X}, 0x{place.response & ID_MASK:X}"

@@ -60,7 +60,7 @@ class Measure(Protocol):
     def measure(self, folder: Path) -> dict[str, Any]:
         """Return what it measured, by name; the fault memory's folder is for what depends on the disk."""
 
-    def tell(self, found: dict[str, Any]) -> None:
+    def show(self, found: dict[str, Any]) -> None:
         """Print what was measured."""
 
 
@@ -117,7 +117,7 @@ def _kernel_buffers() -> dict[str, int]:
     return found
 
 
-def _tell_daemon(daemon: dict[str, Any] | None) -> None:
+def _print_daemon(daemon: dict[str, Any] | None) -> None:
     if daemon is None:
         print("no gateway has run here yet (no fault memory)")
         return
@@ -156,7 +156,7 @@ def _kernels() -> dict[str, Any]:
     }
 
 
-def _told(kernels: dict[str, Any]) -> str:
+def _kernel_line(kernels: dict[str, Any]) -> str:
     """Return one line about the kernels."""
     if not COMPILED:
         return (
@@ -244,8 +244,8 @@ def doctor(
     if can:
         shown = ", ".join(_interfaces()) or "none; make one: ip link add dev vcan0 type vcan"
         print(f"CAN interfaces: {shown}")
-    print(_told(kernels))
-    _tell_daemon(daemon)
+    print(_kernel_line(kernels))
+    _print_daemon(daemon)
     print(", ".join(f"{name} {found}" for name, found in libraries.items()))
     for kind, types in plugins.items():
         for name, wrong in types.items():
@@ -255,5 +255,5 @@ def doctor(
             print(f"no {missing(extra)}: pip install '.[{extra}]' in the checkout, for {PURPOSES[extra]}")
     if bench:
         for one in MEASURES.values():
-            one.tell(measured)
+            one.show(measured)
     return code

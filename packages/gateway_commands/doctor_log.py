@@ -69,13 +69,13 @@ def describe(source: Path, zone: tzinfo, *, json: bool) -> int:
     if json:
         print_json(facts)
     else:
-        _tell(facts, reader.passed_over.notes())
+        _print(facts, reader.passed_over.notes())
     if wrong:
         raise InputErrors(wrong)
     return 0
 
 
-def _tell(facts: dict[str, Any], notes: list[str]) -> None:
+def _print(facts: dict[str, Any], notes: list[str]) -> None:
     print(f"{facts['log']}: {', '.join(facts['formats'])}, {facts['frames']} frames")
     for one in facts["channels"]:
         kinds = ", ".join(f"{count} {name}" for name, count in one["kinds"].items() if count)

@@ -19,8 +19,8 @@ class Nobody:
 
     engine = None
 
-    def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
-        self._tell = tell
+    def __init__(self, report: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
+        self._report = report
         self._offset_ns = 0
         self.frames = 0
 
@@ -30,7 +30,7 @@ class Nobody:
         for frame in frames[np.flatnonzero(are_steps(frames))]:
             step_ns = step_ns_of(frame)
             self._offset_ns += step_ns
-            self._tell(clock_event(int(frame["t_ns"]) + self._offset_ns, step_ns / 1e9))
+            self._report(clock_event(int(frame["t_ns"]) + self._offset_ns, step_ns / 1e9))
         return empty(0)
 
     def advance(self, t_ns: int) -> Frames:
@@ -62,7 +62,7 @@ class Nobody:
 
     foreseen, journal = None, NO_JOURNAL
 
-    def tell(self, gone: Frames) -> Frames:
+    def deliver(self, gone: Frames) -> Frames:
         """There is none."""
         return empty(0)
 

@@ -20,7 +20,7 @@ from gateway_testers.doip.codec import HEADER, VERSIONS, Activation, Kind, packe
 CONTROL_S = 2.0
 
 
-class Told(NamedTuple):
+class Message(NamedTuple):
     """A message: payload type, payload."""
 
     kind: int
@@ -44,7 +44,7 @@ class Stream:
         with suppress(BrokenPipeError, ConnectionResetError):  # ended: seen by who reads
             self._socket.sendall(data)
 
-    def next(self, seconds: float = CONTROL_S) -> Told | None:
+    def next(self, seconds: float = CONTROL_S) -> Message | None:
         """Return the next message; None: none came, or the entity has ended the connection."""
         until = time.monotonic() + seconds
         while not self.ended:
@@ -52,7 +52,7 @@ class Stream:
                 _, _, kind, length = HEADER.unpack_from(self._bytes)
                 if len(self._bytes) >= HEADER.size + length:
                     body, self._bytes = self._bytes[HEADER.size :][:length], self._bytes[HEADER.size + length :]
-                    return Told(kind, body)
+                    return Message(kind, body)
             self._socket.settimeout(max(until - time.monotonic(), 1e-3))
             try:
                 more = self._socket.recv(1 << 16)
@@ -70,7 +70,7 @@ class Stream:
             pass
         return self.ended
 
-    def activate(self, source: int, kind: int = 0) -> Told | None:
+    def activate(self, source: int, kind: int = 0) -> Message | None:
         """Ask for routing; returns the answer."""
         self.send(Kind.ACTIVATE, struct.pack(">HBI", source, kind, 0))
         return self.next()
@@ -121,7 +121,7 @@ class DoipTarget(Target):
             pytest.fail(f"{self.name}: routing for 0x{self.source:04X} is not activated: {told}", pytrace=False)
         return made
 
-    def datagram(self, data: bytes, seconds: float = CONTROL_S) -> Told | None:
+    def datagram(self, data: bytes, seconds: float = CONTROL_S) -> Message | None:
         """Send a datagram; returns its answer, None: none came."""
         family = socket.AF_INET6 if ":" in self.place[0] else socket.AF_INET
         with socket.socket(family, socket.SOCK_DGRAM) as made:
@@ -131,7 +131,7 @@ class DoipTarget(Target):
                 got = made.recv(1 << 16)
             except TimeoutError:
                 return None
-        return Told(HEADER.unpack_from(got)[2], got[HEADER.size :]) if len(got) >= HEADER.size else Told(-1, got)
+        return Message(HEADER.unpack_from(got)[2], got[HEADER.size :]) if len(got) >= HEADER.size else Message(-1, got)
 
     def diagnostic(self, request: bytes, *, source: int | None = None, target: int | None = None) -> bytes:
         """Return the payload of a diagnostic message."""

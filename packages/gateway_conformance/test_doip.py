@@ -6,7 +6,7 @@ import struct
 
 import pytest
 
-from gateway_conformance.doip import DoipTarget, Stream, Told
+from gateway_conformance.doip import DoipTarget, Message, Stream
 from gateway_conformance.target import fails, shown
 from gateway_testers.doip.codec import ANY_VERSION, HEADER, VERSIONS, Activation, HeaderNack, Kind, Nack, packed
 
@@ -15,7 +15,7 @@ NO_KIND, NO_ACTIVATION, NO_SOURCE, NO_TARGET = 0x0FFF, 0x40, 0x0000, 0x0001
 OTHER_VERSION = 0x0F
 
 
-def _expect(asked: str, told: Told | None, kind: int, start: bytes = b"") -> bytes:
+def _expect(asked: str, told: Message | None, kind: int, start: bytes = b"") -> bytes:
     """Expect a message of a kind that begins so; returns its payload."""
     if told is None or told.kind != kind or not told.body.startswith(start):
         came = "nothing" if told is None else f"type {told.kind:04X}: {shown(told.body)}"
@@ -23,7 +23,7 @@ def _expect(asked: str, told: Told | None, kind: int, start: bytes = b"") -> byt
     return told.body
 
 
-def _ask(target: DoipTarget, kind: int, body: bytes = b"", version: int = VERSIONS[-1]) -> Told | None:
+def _ask(target: DoipTarget, kind: int, body: bytes = b"", version: int = VERSIONS[-1]) -> Message | None:
     return target.datagram(packed(kind, body, version))
 
 

@@ -90,7 +90,7 @@ class ExternalReports(Reports):
         engine: debounces the faults.
         controls: say whether results count.
         sink: takes the engine's events.
-        tell: takes events of the JSON contract.
+        report: takes events of the JSON contract.
     """
 
     def __init__(
@@ -99,9 +99,9 @@ class ExternalReports(Reports):
         engine: Engine,
         controls: Controls,
         sink: Sink,
-        tell: Callable[[dict[str, Any]], None],
+        report: Callable[[dict[str, Any]], None],
     ) -> None:
-        self._engine, self._controls, self._sink, self._tell = engine, controls, sink, tell
+        self._engine, self._controls, self._sink, self._report = engine, controls, sink, report
         self._own = user()
         self._reporters: dict[str, _Reporter] = {}
         self._keys: dict[str, tuple[str, ...]] = {}  # fault -> names of its data
@@ -278,7 +278,7 @@ class ExternalReports(Reports):
             "reporter of test results", reporter=name, state=state, reason=reason, faults=faults
         )
         t_ns = self._engine.wall_ns(self._engine.now_ns)
-        self._tell(
+        self._report(
             {"event": "reporter", "t_ns": t_ns, "reporter": name, "state": state, "reason": reason, "faults": faults}
         )
 

@@ -131,13 +131,13 @@ class Guard:
             return
         begun = False
 
-        async def told(message: MutableMapping[str, Any]) -> None:
+        async def checked(message: MutableMapping[str, Any]) -> None:
             nonlocal begun
             begun = True
             await send(message)
 
         try:
-            await self._answer(scope, receive, told)
+            await self._answer(scope, receive, checked)
         except SlowReader:
             log.warning("a client does not read its answer, sent away", path=scope["path"][:80])
         except Exception as error:

@@ -99,8 +99,8 @@ class History:
         """
         until_ms = self.now_ms if until_ms is None else until_ms
         return {
-            "fine": _told(self._fine, fault, until_ms - FINE_MS, until_ms),
-            "coarse": _told(self._coarse, fault, until_ms - COARSE_MS, until_ms),
+            "fine": _as_json(self._fine, fault, until_ms - FINE_MS, until_ms),
+            "coarse": _as_json(self._coarse, fault, until_ms - COARSE_MS, until_ms),
         }
 
     def past(self) -> Iterator[str]:
@@ -144,7 +144,7 @@ def _columns(t_ms: float, faults: NDArray[np.integer], buckets: NDArray[np.void]
     return rows
 
 
-def _told(ring: _Ring, fault: int, since_ms: float, until_ms: float) -> str:
+def _as_json(ring: _Ring, fault: int, since_ms: float, until_ms: float) -> str:
     parts = [part[part["fault"] == fault] for part in ring.parts()]
     rows = np.concatenate(parts)
     rows = rows[(rows["t"] > since_ms) & (rows["t"] <= until_ms)]

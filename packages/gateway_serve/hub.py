@@ -258,7 +258,7 @@ class Hub:
         ]
         return line({"tests": tests, "texts": list(texts), "latest": list(self.latest.values())})
 
-    def _tell(self, kind: str, value: Any) -> None:
+    def _report(self, kind: str, value: Any) -> None:
         if self._viewers:
             text = line(value)
             for viewer in self._viewers:
@@ -272,7 +272,7 @@ class Hub:
         self.connected, self.reason = connected, reason
         if not connected:
             self._thread.submit(self.memory_file.close)
-        self._tell("link", {"connected": connected, "reason": reason})
+        self._report("link", {"connected": connected, "reason": reason})
 
     def _on_message(self, message: dict[str, Any], block: bytes) -> None:
         take = self._takes.get(message["kind"])
@@ -314,7 +314,7 @@ class Hub:
                 + [float(f"{row[name]:.9g}") for name in ("low", "high", "last", "limit", "ratio", "worst")]
                 + [int(row["numbers"]), row["worst_ns"] / 1e6]
             )
-        self._tell("tick", {"t": t_ms, "rows": told})
+        self._report("tick", {"t": t_ms, "rows": told})
 
     def _on_event(self, message: dict[str, Any], _: bytes) -> None:
         if message["event"]["event"] == "monitor":
@@ -326,7 +326,7 @@ class Hub:
         if event["event"] in LISTED:
             self.events.append(event)
         self._stale.set()
-        self._tell("event", event)
+        self._report("event", event)
 
     def _on_buses(self, message: dict[str, Any], _: bytes) -> None:
         self.buses, self.counters = self._loads.shown(message), message["counters"]
@@ -334,20 +334,20 @@ class Hub:
         ecus = message.get("ecus", [])
         if ecus != self.ecus:
             self.ecus = ecus
-            self._tell("ecus", ecus)
-        self._tell("buses", self.buses)
+            self._report("ecus", ecus)
+        self._report("buses", self.buses)
         self._take_monitoring(message, b"")
 
     def _take_monitoring(self, message: dict[str, Any], _: bytes) -> None:
         found = message.get("monitoring", self.monitoring)
         if found != self.monitoring:
             self.monitoring = found
-            self._tell("monitoring", found)
+            self._report("monitoring", found)
 
     def _on_messages(self, message: dict[str, Any], block: bytes) -> None:
         self.messages = self._names.shown(block, message["t_ns"] - message["offset_ns"])
         self._left_out = message.get("left_out", 0)
-        self._tell("messages", {"messages": self.messages, "left_out": self._left_out})
+        self._report("messages", {"messages": self.messages, "left_out": self._left_out})
 
     def _on_missed(self, message: dict[str, Any], _: bytes) -> None:
         self.missed += message["count"]
@@ -374,4 +374,4 @@ class Hub:
             self._thread.submit(file.close)
         if file is self.memory_file and found != self.memory:
             self.memory = found
-            self._tell("memory", shown(found))
+            self._report("memory", shown(found))

@@ -15,7 +15,7 @@ from gateway.faults.records import Recording
 from gateway.faults.status import Status
 from gateway.faults.summary import NO_RESULT, summary_of
 from gateway_fdi.errors import GatewayError, InputError
-from gateway_serve.words import told_in_words
+from gateway_serve.words import sentences
 
 #: Bits of the status byte, the lowest first, as ISO 14229-1 calls them.
 BITS = (
@@ -68,7 +68,7 @@ class MemoryFile:
             return {"error": str(error), **_NOTHING}
         tested = {fault["id"]: fault.get("tested", "") for fault in faults}
         for entry in entries:
-            entry["words"] = told_in_words(entry | {"tested": tested.get(entry["fault"])})
+            entry["words"] = sentences(entry | {"tested": tested.get(entry["fault"])})
         return {
             "error": "",
             "entries": entries,

@@ -93,8 +93,8 @@ class Publisher:
             while True:
                 try:
                     if self._client.is_connected():
-                        self._tell_states()
-                        await self._tell_signals()
+                        self._publish_states()
+                        await self._publish_signals()
                 except Exception as error:  # of one look; the next one tells it all
                     self._wall.caught(error, "a look")
                     await asyncio.sleep(REST_S)
@@ -138,7 +138,7 @@ class Publisher:
             made[f"{self.base}/security/{topic_part(event['sensor'])}/{topic_part(event['kind'])}"] = line(event)
         return made
 
-    def _tell_states(self) -> None:
+    def _publish_states(self) -> None:
         if self._anew:
             self._anew = False
             # Topics that an earlier process left of faults without an entry go, too.
@@ -153,7 +153,7 @@ class Publisher:
             del self._told[topic]
             self._wall.keep(self._publish, topic, "", of=topic)
 
-    async def _tell_signals(self) -> None:
+    async def _publish_signals(self) -> None:
         now = asyncio.get_running_loop().time()
         if not self._settings.signals or now < self._next_s or not self._hub.connected:
             return

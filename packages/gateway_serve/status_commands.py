@@ -37,7 +37,7 @@ from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.interventions import Intervention
 from gateway.host.process import NOBODY, user
 from gateway.runtime.app import Gateway
-from gateway.runtime.contract import DETAIL, told_to_fleet, wrong
+from gateway.runtime.contract import DETAIL, reported_to_fleet, wrong
 from gateway.servers.authority import WATCH_NS, Holder, Refusal, local_intervention
 from gateway.servers.local import SELF
 from gateway.servers.uds.params import S3_MS
@@ -308,7 +308,7 @@ class Commands:
             if reason := wrong(event) or ("" if event["event"] in POSTED else "the gateway tells these itself"):
                 raise InputError(reason, key="events")
         for event in events:
-            self._gateway.memory.fleet.post(event, detail=told_to_fleet(event) == DETAIL)
+            self._gateway.memory.fleet.post(event, detail=reported_to_fleet(event) == DETAIL)
         return {}
 
     def _arrived(self, asked: dict[str, Any], _session: _Session) -> dict[str, Any]:

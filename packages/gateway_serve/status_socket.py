@@ -151,12 +151,12 @@ class StatusSocket:
         if self._readers:
             self._traffic.write(frames)
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def report(self, event: dict[str, Any]) -> None:
         """Pass on an event of the JSON contract."""
         if self._readers:
-            self._wall.keep(self._tell, event, of="an event")
+            self._wall.keep(self._report, event, of="an event")
 
-    def _tell(self, event: dict[str, Any]) -> None:
+    def _report(self, event: dict[str, Any]) -> None:
         self._send(_message("event", event=event), event=True)
 
     def turn(self, now_s: float, *, wanted: bool = True) -> None:
@@ -244,7 +244,7 @@ class StatusSocket:
             self._gateway.engine.take_buckets()
             self._traffic = Traffic(len(self._gateway.config.bus))
             self._due = [0.0, 0.0, 0.0]
-        self._tell_all_counters()
+        self._report_all_counters()
         self._readers.append(reader)
         self._wall.keep(self._greet_one, reader, of=reader, ends=self._drop)
 
@@ -338,7 +338,7 @@ class StatusSocket:
     def _greet(self) -> None:
         """Tell all readers what there is to see now."""
         self._hello: dict[str, Any] = {}
-        self._tell_all_counters()
+        self._report_all_counters()
         for reader in self._readers:
             reader.put(self._greeting())
 
@@ -347,7 +347,7 @@ class StatusSocket:
             self._hello = {**described(self._gateway), "ended": self._ended}
         return _message("hello", **self._hello, monitoring=monitoring_of(self._gateway))
 
-    def _tell_all_counters(self) -> None:
+    def _report_all_counters(self) -> None:
         """Have the next tick tell the detection counters of all faults, not of those only that have changed."""
         self._counters = np.full(len(self._gateway.engine.faults), _NEVER_TOLD, np.int16)
 
@@ -393,7 +393,7 @@ class StatusSocket:
             if reader.missed and reader.bytes <= ENOUGH_BYTES:
                 reader.put(_message("missed", count=reader.missed))
                 reader.missed = 0
-                self._tell_all_counters()  # some of the changes were in what it missed
+                self._report_all_counters()  # some of the changes were in what it missed
 
     def _show_messages(self) -> None:
         engine = self._gateway.engine

@@ -25,7 +25,7 @@ def unit_of(tested: str) -> str:
     return tested.partition(" [")[2].removesuffix("]")
 
 
-def told_in_words(entry: Mapping[str, Any]) -> list[str]:
+def sentences(entry: Mapping[str, Any]) -> list[str]:
     """Return sentences about one entry, the most important first.
 
     Args:

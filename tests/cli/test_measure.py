@@ -20,7 +20,7 @@ def test_all_four_are_measured(tmp_path, capsys):
         assert found[name]["count"] >= 1
         assert 0 < found[name]["p50_us"] <= found[name]["p99_us"]
     assert list(tmp_path.iterdir()) == [], "nothing is left of it"
-    measure.tell(found)
+    measure.print_measurements(found)
     told = capsys.readouterr().out
     assert "a DTC on the disk" in told
     assert max(map(len, told.splitlines())) <= 80
@@ -29,7 +29,7 @@ def test_all_four_are_measured(tmp_path, capsys):
 def test_a_folder_that_cannot_be_written_is_told(tmp_path, capsys):
     found = measure.measure(tmp_path / "gone", 0.01)
     assert found["write"] == {"folder": str(tmp_path / "gone"), "count": 0}
-    measure.tell(found)
+    measure.print_measurements(found)
     assert "DTCs would not be kept there" in capsys.readouterr().out
 
 

@@ -10,7 +10,7 @@ from gateway.config.load import load_config
 from gateway.faults.vehicle import PERMANENT
 from gateway.runtime.app import Gateway
 from gateway_ask.answers.layout import j1979
-from gateway_ask.clients.dtcs import told_by
+from gateway_ask.clients.dtcs import read_dtcs
 from gateway_commands.faults import list_faults
 from gateway_replay.replay import replay
 
@@ -171,7 +171,7 @@ def test_our_own_server_says_the_same_by_either_protocol(tmp_path):
     assert dtcs_of["obd"] == [("P1000", 0x10C)]
     tester = Tester(rig)
     reports = [bytes.fromhex(each) for each in ("1902AF", "194233AFFF", "195533", "1956330B")]
-    lists = [told_by("e", tester.ask(each), each).found for each in reports]
+    lists = [read_dtcs("e", tester.ask(each), each).found for each in reports]
     assert lists[0].pop(dtc_text(1)) == 0x2F
     assert lists == [{"P1000-11": 0xAF}, {"P1000-11": 0xAF}, {"P1000-11": PERMANENT}, {"P1000-11": 0xAF}]
     rig.close()

@@ -9,9 +9,9 @@ from asking_rig import BUS, Car, Ecu, settled, write
 
 from gateway.config.load import load_config
 from gateway.faults.store import Store
-from gateway.faults.vehicle import MOST, PERMANENT, Told, VehicleMemory
+from gateway.faults.vehicle import MOST, PERMANENT, DtcAnswer, VehicleMemory
 from gateway.runtime.app import Gateway
-from gateway_ask.clients.dtcs import details_of, told_by
+from gateway_ask.clients.dtcs import details_of, read_dtcs
 from gateway_fdi.errors import GatewayError
 from gateway_replay.replay import replay
 
@@ -32,19 +32,19 @@ watched = false
 
 
 def told(answer, request="1902AF"):
-    return told_by("e", bytes.fromhex(answer), bytes.fromhex(request))
+    return read_dtcs("e", bytes.fromhex(answer), bytes.fromhex(request))
 
 
 def test_answers_are_read():
-    assert told("5902FF 400011 2F 010203 08") == Told("e", {"C0000-11": 0x2F, "P0102-03": 8}, 0xAF)
-    assert told("5902FF", "1902FF") == Told("e", {}, 0xFF)
+    assert told("5902FF 400011 2F 010203 08") == DtcAnswer("e", {"C0000-11": 0x2F, "P0102-03": 8}, 0xAF)
+    assert told("5902FF", "1902FF") == DtcAnswer("e", {}, 0xFF)
     for request in ("", "190F2F", "1901FF", "03", "1902"):
         assert told("5902FF", request).covers == 0
     assert told("590AFF 400011 2F").covers == 0
-    assert told("4302 0133 4035") == Told("e", {"P0133": 8, "C0035": 8}, 8, whole=False)
+    assert told("4302 0133 4035") == DtcAnswer("e", {"P0133": 8, "C0035": 8}, 8, whole=False)
     assert told("4301 0133 0000").found == {"P0133": 8}
     assert told("4303 0133").covers == 0  # cut
-    assert told("4A00") == Told("e", {}, PERMANENT, whole=False)
+    assert told("4A00") == DtcAnswer("e", {}, PERMANENT, whole=False)
     assert told("5904 400011 2F 01 02 F190 31").data == {"C0000-11": "0102F19031"}
     assert [told(text) for text in ("7F1931", "62F19001", "59", "5904400011", "43")] == [None] * 5
     assert details_of("C0000-11") == (bytes.fromhex("1904400011FF"), bytes.fromhex("1906400011FF"))
@@ -57,7 +57,7 @@ def test_dtcs_are_the_same_by_each_report_of_uds():
     assert told("595633FF0401" + "".join(f"{dtc} 2F" for dtc in two), "19563301").found == plain.found
     assert told("594233FFFF04" + "".join(f"04 {dtc} 2F" for dtc in two), "194233AFFF").found == plain.found
     assert told("595533FF04" + "".join(f"{dtc} 2F" for dtc in two)).found == dict.fromkeys(plain.found, PERMANENT)
-    assert told("595633FF0401", "19563301") == Told("e", {}, 0)  # of one readiness group: no other is cleared
+    assert told("595633FF0401", "19563301") == DtcAnswer("e", {}, 0)  # of one readiness group: no other is cleared
 
 
 def states(memory, answer, request="1902AF", t_ns=0):
@@ -87,11 +87,11 @@ def test_no_more_are_kept_than_there_is_room_for():
     memory, rng = VehicleMemory(), np.random.default_rng(SEED)
     for _ in range(4):
         found = {f"P{k:04X}-00": 8 for k in rng.permutation(0x4000)[: MOST // 2 + 300]}
-        memory.take(Told(f"e{rng.integers(3)}", found, 0), 0)
+        memory.take(DtcAnswer(f"e{rng.integers(3)}", found, 0), 0)
     assert len(memory.all()) == MOST
     assert memory.dropped > 0
-    memory.take(Told("e0", {}, 0x1FF), 5)
-    memory.take(Told("new", {"C0001-00": 8}, 0), 6)
+    memory.take(DtcAnswer("e0", {}, 0x1FF), 5)
+    memory.take(DtcAnswer("new", {"C0001-00": 8}, 0), 6)
     assert len(memory.all()) == MOST
     assert "C0001-00" in [each.dtc for each in memory.all()]
 

@@ -28,7 +28,7 @@ MOVING = [{"signal": "M.Speed", "min": 1}, {"signal": "M.Gear", "min": 2}]
 )  # fmt: skip
 def test_a_request_and_how_often_it_is_sent(params, name, request_hex, told, apart_ms, is_obd):
     read = ReadParams(**params)
-    assert (read.name, read.request.hex(), read.told) == (name, request_hex, told)
+    assert (read.name, read.request.hex(), read.rate) == (name, request_hex, told)
     assert (read.apart_ms, read.is_obd) == (apart_ms, is_obd)
 
 

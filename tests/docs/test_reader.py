@@ -11,7 +11,7 @@ from gateway.config.load import load_config
 from gateway.faults.summary import in_lines, summary_of
 from gateway.monitors.evidence import as_bits, as_digits, in_words
 from gateway.runtime.assemble import prepare
-from gateway_serve.words import told_in_words
+from gateway_serve.words import sentences
 
 ROOT = Path(__file__).parents[2]
 #: One of each plant, with as many kinds of tests as there are.
@@ -94,7 +94,7 @@ def test_numbers_that_stand_for_names_are_read_as_names():
     assert in_words(as_digits("faults", (), 3), 12.0, "12") == ("faults", "number 12")
     assert in_words(fired, 0.0, "0")[1] == "none"
     assert in_words("silent [ms]", 110.0, "110") == ("silent", "110 ms")
-    words = told_in_words(
+    words = sentences(
         {"status": 0x2F, "occurrence": 1, "cause": None, "hold": "", "tested": "silent [ms]", "severity": "none",
          "evidence": {"value": 110.0, "threshold": 100.0, "silent [ms]": 110.0, fired: 3.0}, "remedy": "look"}
     )  # fmt: skip

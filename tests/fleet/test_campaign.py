@@ -21,7 +21,7 @@ from gateway_fleet.live import signed_documents
 from gateway_fleet.live.campaign import Campaign, is_in, next_stage
 from gateway_fleet.live.member import Member
 from gateway_fleet.live.shadow import Shadow
-from gateway_fleet.live.statistics import _Test, told
+from gateway_fleet.live.statistics import _Test, columns
 from gateway_fleet.live.trials import Trials
 
 NOW = datetime(2026, 11, 29, tzinfo=UTC)
@@ -88,14 +88,14 @@ class Rig:
     def keyring(self, serial=1, by="root", fleet="vans", signers=("signer",)):
         public = {name: signed_documents.public_of(key) for name, key in self.keys.items()}
         told = {"fleet": fleet, "serial": serial, "root": [public["root"]], "signer": [public[n] for n in signers]}
-        return signed_documents.sign("keys", signed_documents.told(told), self.keys[by])
+        return signed_documents.sign("keys", signed_documents.to_toml(told), self.keys[by])
 
     def campaign(self, by="signer", kind="campaign", **changed):
         told = {
             "fleet": "vans", "name": "cold", "serial": 2, "until": NOW + timedelta(days=9), "share": 1.0,
             "shadow_hours": 10.0, "control_per_hour": 0.001, "limit": [{"test": TEST, "limit": 15.5}],
         }  # fmt: skip
-        return signed_documents.sign(kind, signed_documents.told({**told, **changed}), self.keys[by])
+        return signed_documents.sign(kind, signed_documents.to_toml({**told, **changed}), self.keys[by])
 
     def offer(self, document):
         return self.trials.offer(document, NOW)
@@ -293,7 +293,7 @@ def test_a_campaign_says_whose_statistics_and_recordings_are_told(rig):
     assert recorded(3, TEST, 40_001) == [], "beyond the bytes"
     assert recorded(4, TEST, 40_000) == [(4, TEST, 30_000), (4, TEST, 10_000)]
     assert rig.trials.state.bytes == 50_000
-    tests = told({name: (_Test(sign=1), [1.0] * 20) for name in ("other.X.high", TEST)})
+    tests = columns({name: (_Test(sign=1), [1.0] * 20) for name in ("other.X.high", TEST)})
     head = {
         "event": "statistics",
         "t_ns": 5,
@@ -304,10 +304,10 @@ def test_a_campaign_says_whose_statistics_and_recordings_are_told(rig):
         "seconds": 60.0,
     }
     member.drive.give_back([head | {"tests": tests}])
-    asyncio.run(member._tell())
+    asyncio.run(member._report())
     with closing(ResilientStore(config.memory.path)) as store:
         (row,) = store.outgoing()
-    assert json.loads(row.body)["tests"] == told({TEST: (_Test(sign=1), [1.0] * 20)})
+    assert json.loads(row.body)["tests"] == columns({TEST: (_Test(sign=1), [1.0] * 20)})
 
 
 @pytest.mark.long

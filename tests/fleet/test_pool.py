@@ -17,7 +17,7 @@ from gateway_fleet.live.collect import Came, Collector
 from gateway_fleet.live.forget import forget
 from gateway_fleet.live.inbox import Row
 from gateway_fleet.live.pool import Shown, pool, shown
-from gateway_fleet.live.statistics import Drive, _Test, told
+from gateway_fleet.live.statistics import Drive, _Test, columns
 
 #: Unit variance of Student's t with six degrees of freedom; seconds of a minute.
 UNIT, SECONDS = np.sqrt(4.0 / 6.0), 60
@@ -79,7 +79,9 @@ def test_blocks_of_one_car_or_of_one_day_say_less_than_others():
 def test_a_summary_of_a_drive_is_as_good_as_its_minutes():
     rng = np.random.default_rng(3)
     cars = [minutes(rng, *car) for car in zip(*fleet(rng, 120), strict=True)]
-    tests = told({f"m{k}.f": (_Test(sign=1), list(car)) for k, car in enumerate(cars)} | {"z": (_Test(), [2.0] * 60)})
+    tests = columns(
+        {f"m{k}.f": (_Test(sign=1), list(car)) for k, car in enumerate(cars)} | {"z": (_Test(), [2.0] * 60)}
+    )
     body = json.dumps({
         "event": "statistics", "t_ns": 1, "begin_ns": 0, "part": 0, "condition": "", "block_s": 60.0,
         "seconds": 3600.0, "tests": tests,
@@ -105,7 +107,7 @@ def test_a_drive_of_291_tests_takes_less_than_four_kilobytes(tmp_path):
         worst = scale * minutes(rng, 5.0, 1.0, 30) if k % 3 else np.zeros(30)
         of[f"signals_can0.Message{k // 4}_Signal{k}.high"] = _Test(sign=1, limit=scale * rng.uniform(20, 30)), worst
     head = {"event": "statistics", "t_ns": 10**18, "begin_ns": 10**18, "part": 0, "condition": "", "block_s": 60.0}
-    rows = [Outgoing(1, True, 0, json.dumps(head | {"seconds": 1800.0, "tests": told(of)}), "1a2b3c4d5e6f-1", 1)]
+    rows = [Outgoing(1, True, 0, json.dumps(head | {"seconds": 1800.0, "tests": columns(of)}), "1a2b3c4d5e6f-1", 1)]
     assert len(packed(car_of(), rows, Tally(0, 0, 0, 0))[0]) <= 4000
 
 
@@ -155,7 +157,7 @@ def tables(tmp_path):
     for k, (centre, spread) in enumerate(zip(*fleet(rng, 12), strict=True)):
         car = car_of(f"car{k:02d}")
         memory = Memory(tmp_path / f"{k}.sqlite", car)
-        tests = told({"speed.V.high": (_Test(sign=1, limit=9.0), list(minutes(rng, centre, spread)))})
+        tests = columns({"speed.V.high": (_Test(sign=1, limit=9.0), list(minutes(rng, centre, spread)))})
         head = {"event": "statistics", "t_ns": 20_000 * day, "begin_ns": 0, "part": 0, "condition": "", "block_s": 60.0}
         memory.post(head | {"seconds": 3600.0, "tests": tests})
         causes = [(), ("pump",), ("pump", "wire"), (), ("pump",)] if k == 0 else [("pump",)] if k < 3 else [()]

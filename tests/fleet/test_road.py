@@ -293,7 +293,7 @@ def test_a_campaign_comes_by_the_broker_judges_in_shadow_then_in_the_daemon_and_
     root, signer = (signed_documents.new_private(tmp_path / name) for name in ("root", "signer"))
     keys = {"fleet": "vans", "serial": 1, "root": [root], "signer": [signer]}
     (tmp_path / "keys").write_bytes(
-        signed_documents.sign("keys", signed_documents.told(keys), signed_documents.private_of(tmp_path / "root"))
+        signed_documents.sign("keys", signed_documents.to_toml(keys), signed_documents.private_of(tmp_path / "root"))
     )
     port, out = free_port(), tmp_path / "out"
     at = f"127.0.0.1:{port}"
@@ -303,7 +303,7 @@ def test_a_campaign_comes_by_the_broker_judges_in_shadow_then_in_the_daemon_and_
             "fleet": "vans", "name": "warm", "serial": serial, "until": datetime.now(UTC) + timedelta(days=1),
             "share": 1.0, "shadow_hours": 0.0005, "limit": [{"test": "voltage.Volts.high", "limit": 15.5}], **more,
         }  # fmt: skip
-        (tmp_path / "campaign.toml").write_text(signed_documents.told(told))
+        (tmp_path / "campaign.toml").write_text(signed_documents.to_toml(told))
         assert fleet_sign(tmp_path / "campaign.toml", tmp_path / "signer", tmp_path / "signed") == 0
         by = dict.fromkeys(("password_file", "ca", "certificate", "key"), None)
         assert fleet_publish(tmp_path / "signed", at, user="", **by) == 0

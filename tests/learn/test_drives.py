@@ -11,7 +11,7 @@ from gateway.cli import app
 from gateway.config.load import load_config
 from gateway.runtime.assemble import prepare
 from gateway_fleet.learn.everyday import BEGIN, END, KINDS, Drive
-from gateway_fleet.study.drives.judge import Told, _of_fault
+from gateway_fleet.study.drives.judge import Findings, _of_fault
 from gateway_fleet.study.drives.vehicles import drive_of, vehicles
 from gateway_fleet.study.learn.drive import Way, frames_of
 from gateway_fleet.study.learn.network import network
@@ -144,11 +144,11 @@ def test_two_swapped_signals_have_each_others_values(drive):
 def test_a_cause_is_wrong_if_any_part_of_it_is_well(drive):
     fault = KINDS["frozen"](drive())
     (name,) = {one.removeprefix("message ") for one in fault.right if one.startswith("message ")}
-    healthy = Told({}, {}, {})
+    healthy = Findings({}, {}, {})
     sees = {"its": {f"message {name}"}, "other": {"signal can0.X.Y"}}
 
     def row(codes, causes):
-        found, _ = _of_fault(fault, Told(codes, {}, causes), healthy, sees)
+        found, _ = _of_fault(fault, Findings(codes, {}, causes), healthy, sees)
         return found.found, found.right, found.wrong, found.accused
 
     now = fault.begin_ns

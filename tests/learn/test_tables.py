@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from gateway.cli import app
 from gateway.config.load import load_config
 from gateway_fdi.errors import InputError
-from gateway_fleet.study.drives.judge import told_of
+from gateway_fleet.study.drives.judge import findings_of
 from gateway_fleet.study.drives.tables import FIRST_ID, Columns, columns_of, is_table, read
 from gateway_fleet.study.drives.vehicles import Learning, drive_of, vehicles
 
@@ -84,9 +84,9 @@ def test_at_1_hz_one_odd_value_is_no_code_and_two_are(told, rows):
     config = load_config(home / "car.toml")
     frames = drive_of(home / "first.log", config)
     flow = np.flatnonzero(frames["can_id"] == FIRST_ID + 1)[250 : 250 + rows]
-    before = told_of(config, frames).codes
+    before = findings_of(config, frames).codes
     frames["data"][flow, :8] = np.array([90.0]).view(np.uint8)
-    new = told_of(config, frames).codes.keys() - before.keys()
+    new = findings_of(config, frames).codes.keys() - before.keys()
     assert new == ({"signals.Flow_RateRMS.high"} if rows == 2 else set())
 
 

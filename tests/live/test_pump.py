@@ -387,7 +387,7 @@ def test_a_dtc_leaves_before_python_has_its_verdict(rigs, tmp_path, way):
         rig.live._taps = [Tap()]
     if way == "switched off":
         rig.gateway.controls.set_communication(receive=True, send=False)
-    early, tell = [], rig.gateway.tell
+    early, tell = [], rig.gateway.deliver
 
     def noted(gone):
         rig.receive()
@@ -396,7 +396,7 @@ def test_a_dtc_leaves_before_python_has_its_verdict(rigs, tmp_path, way):
             assert not Counter(early) - Counter(changes_of(rig.sent[0])), "they are on the bus"
         return tell(gone)
 
-    rig.gateway.tell, count = noted, 0
+    rig.gateway.deliver, count = noted, 0
     for k in range(60):
         while k == 20 and way != "switched off" and rig.gateway.quiet().foretells == NOBODY:
             rig.turn()  # the start is being written

@@ -49,7 +49,7 @@ def test_time_goes_on_evenly_and_steps_are_told(moves):
         assert c.clock.wall() == c.true + c.ahead
     assert [step.step_ns for step in c.clock.untold] == steps
     assert c.clock.offset_ns == sum(steps)
-    assert c.clock.told_offset_ns == 0
+    assert c.clock.reported_offset_ns == 0
 
 
 def test_a_reading_that_was_interrupted_is_no_step():

@@ -178,7 +178,7 @@ def test_a_reader_that_does_not_read_loses_ticks_and_no_event(bench, monkeypatch
         for k in range(400):
             event = {"event": "note", "number": k, "text": "x" * 600}
             sent.append(event)
-            bench.daemon.status.tell(event)
+            bench.daemon.status.report(event)
             yield from bench.levels([5.0] * 4)
         for _ in range(400):
             slow.read()
@@ -199,7 +199,7 @@ def test_a_reader_that_never_takes_its_events_is_sent_away_and_the_daemon_goes_o
     def script():
         yield from bench.levels([5.0] * 4)
         for k in range(1500):
-            bench.daemon.status.tell({"event": "note", "number": k, "text": "x" * 1000})
+            bench.daemon.status.report({"event": "note", "number": k, "text": "x" * 1000})
             alive.read()
             yield from bench.levels([5.0])
 

@@ -14,13 +14,13 @@ from gateway.faults.fault_groups import cases_of
 from gateway.runtime.app import Gateway
 from gateway_serve.broker import Broker
 from gateway_serve.cli.run_report import RunReport
-from gateway_serve.cli.watch import drawn, told
+from gateway_serve.cli.watch import as_json, drawn
 from gateway_serve.hello import described
 from gateway_serve.hub import Hub
 from gateway_serve.memory import MemoryFile
 from gateway_serve.metrics import Metrics
 from gateway_serve.mqtt import Published, Publisher
-from gateway_serve.report.page import Told, write_report
+from gateway_serve.report.page import Words, write_report
 
 SPEED = "signal can0.Speed.V"
 HOLD = 'symptoms = "hold"'
@@ -67,7 +67,7 @@ def test_the_terminal_leads_with_the_cause_in_eighty_columns(shown):
         assert line.startswith(f"{'':{indent}}{codes[fault]}")
         assert ("held" in line) == (indent == 4)
     assert max(map(len, lines)) <= 80
-    assert told(hub)["causes"][0]["components"] == [SPEED]
+    assert as_json(hub)["causes"][0]["components"] == [SPEED]
 
 
 def test_metrics_and_mqtt_say_it(shown, tmp_path):
@@ -107,7 +107,7 @@ def test_a_report_leads_with_the_cause(tmp_path):
     report.collector.feed(frames(5.0, 8.0, Speed=40))
     report.collector.stop(8 * 10**9)
     assert len(report.collector.windows) == 3, "a confirmation that has waited is no other failure"
-    write_report(tmp_path / "r.html", gateway, report.collector, Told("car", (), tmp_path / "car.toml"))
+    write_report(tmp_path / "r.html", gateway, report.collector, Words("car", (), tmp_path / "car.toml"))
     text = (tmp_path / "r.html").read_text()
     verdict = text[text.index('<section class="verdict') :]
     assert verdict.index(f"Cause: {SPEED}") < verdict.index('class="case proven"')

@@ -14,7 +14,7 @@ from gateway_serve.history import COARSE, FIELDS, FINE, PAST_BYTES, TICKS, Histo
 from gateway_serve.hub import MANY_EVENTS, MOST_PASSING, MOST_WAITING, Viewer
 from gateway_serve.messages import MessageNames
 from gateway_serve.wire import Garbled, Splitter
-from gateway_serve.words import told_in_words
+from gateway_serve.words import sentences
 
 
 def tick(fault, low, high, *, ratio=0.1):
@@ -212,10 +212,10 @@ def test_evidence_in_words():
         "status": 0x2F, "occurrence": 2, "evidence": {"value": 1.5, "threshold": 1.0, "tooth": 20.0, "odd": None},
         "remedy": "look", "severity": "next_halt",
     }  # fmt: skip
-    said = told_in_words(entry)
+    said = sentences(entry)
     assert said[0] == "It is there now; it came twice and is confirmed."
     assert said[1] == "Value: 1.5, limit 1 (1.5 times the limit)."
     assert said[2] == "Measured with it: tooth: 20."
     assert said[3].startswith("What to do: look; have it checked at the next halt")
-    low = told_in_words({**entry, "evidence": {"value": 2.0, "threshold": 8.0}, "status": 0x08, "occurrence": 1})
+    low = sentences({**entry, "evidence": {"value": 2.0, "threshold": 8.0}, "status": 0x08, "occurrence": 1})
     assert low[0] == "It is not there at present; it came once and is confirmed."

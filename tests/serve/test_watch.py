@@ -11,7 +11,7 @@ from gateway.engine.buckets import TickRow
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import GatewayError
-from gateway_serve.cli.watch import drawn, told, watch
+from gateway_serve.cli.watch import as_json, drawn, watch
 from gateway_serve.hello import described
 from gateway_serve.hub import Hub
 
@@ -39,7 +39,7 @@ def text_of(hub):
 
 def test_the_nearest_to_a_fault_comes_first(hub):
     names = [fault["id"] for fault in hub.hello["faults"]]
-    assert [row["fault"] for row in told(hub)["nearest"]] == [names[1], names[2], names[0]]
+    assert [row["fault"] for row in as_json(hub)["nearest"]] == [names[1], names[2], names[0]]
     said = text_of(hub)
     assert said.index(names[1]) < said.index(names[2]) < said.index(names[0])
     assert "1.50" in said
@@ -59,10 +59,10 @@ def test_a_dtc_that_fails_is_what_is_said_first(hub):
 
 
 def test_a_demo_that_is_over_says_so(hub):
-    assert told(hub)["ended"] == ""
+    assert as_json(hub)["ended"] == ""
     hub._on_hello({**hub.hello, "kind": "hello", "protocol": 1, "ended": "The scenario x has ended after 8 s."}, b"")
-    assert told(hub)["ended"] in text_of(hub).splitlines()[0]
-    assert told(hub)["nearest"], "what it showed is still there"
+    assert as_json(hub)["ended"] in text_of(hub).splitlines()[0]
+    assert as_json(hub)["nearest"], "what it showed is still there"
 
 
 def test_without_a_gateway_it_says_so(tmp_path):

@@ -407,13 +407,13 @@ def _answers_of_ecus(_folder, _stack):
     """What ECUs say of DTCs, their snapshots, and results of monitors."""
     from gateway_ask.answers.monitor_tests import results
     from gateway_ask.answers.snapshots import snapshots_in_words
-    from gateway_ask.clients.dtcs import told_by
+    from gateway_ask.clients.dtcs import read_dtcs
 
     def feed(data):
         snapshots_in_words(data)
         list(results(data))
         if data:
-            told_by("ecu", data, data[:5])
+            read_dtcs("ecu", data, data[:5])
 
     samples = ("0102F40680F405D20201F40C1AF8", "594233FFFF0402013300 2F", "59040133002F0101F405D2", "4302 0133 4035")
     return Target(tuple(map(bytes.fromhex, samples)), feed)

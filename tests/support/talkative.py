@@ -110,13 +110,13 @@ def main(folder, events, first):
     gateway.start(t_ns)
     state = {"bus": "a", "state": "open", "received": 1, "errors": {}}
     status = StatusSocket(folder / "status", gateway, lambda: [state])
-    gateway.listen(status.tell)
+    gateway.listen(status.report)
     print("ready", flush=True)
     clock = wait_for_line(status, 0.0)
     for _ in range(first):
         t_ns, clock = play_a_second(gateway, status, t_ns, clock)
     for number in range(events):
-        status.tell(event(number, t_ns))
+        status.report(event(number, t_ns))
         if number % BATCH == BATCH - 1:
             t_ns, clock = play_a_second(gateway, status, t_ns, clock)
         if number + 1 in (events // 10, events // 2, events):

@@ -41,7 +41,7 @@ def drive(folder, ready, ended):
     gateway = Gateway(networks.config_of(folder, NETWORK), folder / "m.sqlite")
     state = {"bus": "can0", "uri": "in this process", "state": "open"}
     page = StatusSocket(folder / "status", gateway, lambda: [state])
-    gateway.listen(page.tell)
+    gateway.listen(page.report)
     try:
         ready.set()
         feed(gateway, page, ended)

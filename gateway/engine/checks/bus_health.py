@@ -366,7 +366,7 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
 
 
 @kernel
-def tells_loss(can_id: int, word: int) -> bool:
+def reports_loss(can_id: int, word: int) -> bool:
     """Return whether an error frame says that frames were lost on our side before it.
 
     Args:

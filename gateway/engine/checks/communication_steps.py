@@ -28,7 +28,7 @@ from gateway.engine.checks.communication import (
     WIDE,
 )
 from gateway.engine.checks.kinds import COUNTER, CRC, LENGTH, RULE, TIMEOUT, VALUE
-from gateway.engine.checks.runs import begin_run, go_on, tell_run
+from gateway.engine.checks.runs import begin_run, count_run, go_on
 from gateway.engine.checks.secured_steps import FORGED, UNKNOWN, judge_secured, take_freshness
 from gateway.engine.checks.senders_steps import (
     accuse,
@@ -60,7 +60,7 @@ RIGHT, WRONG, NEITHER, NOTHING = range(4)
 @kernel
 def end_run(T: Any, c: Any) -> None:
     """Tell of the run: a frame has come that is none of it, or none at all."""
-    tell_run(c, T.debounces, T.buckets)
+    count_run(c, T.debounces, T.buckets)
     c.steady = 0
 
 

@@ -52,7 +52,7 @@ def go_on(T: Any, t_ns: int, c: Any) -> None:
 
 
 @kernel
-def tell_run(c: Any, debounces: Any, buckets: Any) -> None:
+def count_run(c: Any, debounces: Any, buckets: Any) -> None:
     """Tell the buckets of a message's run; its next frame begins another one."""
     if c.run == 0:
         return
@@ -65,7 +65,7 @@ def tell_run(c: Any, debounces: Any, buckets: Any) -> None:
 
 
 @kernel
-def tell_all_runs(checks: Any, debounces: Any, buckets: Any) -> None:
+def count_all_runs(checks: Any, debounces: Any, buckets: Any) -> None:
     """Tell the buckets of the runs of all messages."""
     for k in range(checks.shape[0]):
-        tell_run(checks[k], debounces, buckets)
+        count_run(checks[k], debounces, buckets)

@@ -160,7 +160,7 @@ def call(number: int, *_: int) -> None:
     if late and not isinstance(failed, TooLongError):
         failed = TooLongError()  # it kept the interrupt to itself, or came back just then
     if failed is not None:
-        _failures[number] = _told(failed)
+        _failures[number] = _text_of(failed)
         if isinstance(failed, TooLongError):
             _late.add(number)
         raise RuntimeError(_failures[number]) from None
@@ -170,7 +170,7 @@ def call(number: int, *_: int) -> None:
 FAILURE = Failure(lambda s: _failures.get(int(s["number"]), ""), lambda s: int(s["number"]) in _late)
 
 
-def _told(error: BaseException) -> str:
+def _text_of(error: BaseException) -> str:
     here = str(__file__)
     places = [at for at in traceback.extract_tb(error.__traceback__) if at.filename != here]
     where = f" ({places[-1].filename}:{places[-1].lineno})" if places else ""

@@ -53,7 +53,7 @@ class _Adapter(NamedTuple):
     priority: int = _PRIORITY
     hidden: str = ""
 
-    def told(self, text: str, place: Place) -> _Adapter:
+    def after(self, text: str, place: Place) -> _Adapter:
         """Return it after further commands."""
         made = self
         for word in filter(None, re.split(r"[;\r\n]+", text.upper().replace(" ", ""))):
@@ -105,7 +105,7 @@ def read(path: Path, year: int | None) -> Layouts:
     found: dict[tuple[Address | None, int, int], AnswerLayout] = {}
     profiles = list(_profiles(path))
     own, at = profiles[-1]
-    adapter = _Adapter().told(_text(own, "init", at), at.at("init"))
+    adapter = _Adapter().after(_text(own, "init", at), at.at("init"))
     for profile, place in profiles:
         entries = [object_at(entry, place.at("pids")) for entry in list_at(profile.get("pids", []), place.at("pids"))]
         names = {name for k, table in enumerate(entries) for name, *_ in _parameters(table, place.at(f"pids[{k}]"))}
@@ -114,7 +114,7 @@ def read(path: Path, year: int | None) -> Layouts:
             at = place.at(f"pids[{k}]")
             if table.get("pid") == _REMOVE:
                 continue
-            adapter = adapter.told(_text(table, "pid_init", at), at.at("pid_init"))
+            adapter = adapter.after(_text(table, "pid_init", at), at.at("pid_init"))
             layout = _layout(table, adapter, at, left)
             if layout is not None:
                 key = layout.address, layout.service, layout.identifier

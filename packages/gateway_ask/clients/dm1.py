@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, OWN, Frames
-from gateway.faults.vehicle import Told
+from gateway.faults.vehicle import DtcAnswer
 from gateway.j1939.frame import GLOBAL, TP_CM, TP_DT, read_pdu
 from gateway.j1939.overheard import Overheard
 
@@ -47,19 +47,19 @@ class Dm1Listener:
         mine = np.isin((ids >> 8) & 0x3FFFF, _GROUPS) & (ids & EXTENDED != 0) & (frames["flags"] & OWN == 0)
         return np.asarray(mine & np.isin(frames["bus"], self.buses), np.bool_)
 
-    def take(self, frame: np.void) -> Told | None:
+    def take(self, frame: np.void) -> DtcAnswer | None:
         """Take one of those; returns what a message says that it completes."""
         bus, pdu = int(frame["bus"]), read_pdu(frame)
         if (bus, pdu.source) in self._ours:
             return None
         if pdu.pgn == DM1:
-            return self._told(bus, pdu.source, pdu.data)
+            return self._read(bus, pdu.source, pdu.data)
         transport, t_ns = self._transports[bus], int(frame["t_ns"])
         transport.pass_time(t_ns)
         message = transport.take(pdu, t_ns)
-        return None if message is None else self._told(bus, message.source, message.data)
+        return None if message is None else self._read(bus, message.source, message.data)
 
-    def _told(self, bus: int, source: int, data: bytes) -> Told | None:
+    def _read(self, bus: int, source: int, data: bytes) -> DtcAnswer | None:
         if len(data) < 6:
             return None
         found = {}
@@ -69,7 +69,7 @@ class Dm1Listener:
             if spn and data[k : k + 4] != b"\xff\xff\xff\xff":
                 found[f"SPN {spn} FMI {fmi}"] = ACTIVE
         name = self._names.get((bus, source), f"{self._of_buses[bus]}:{source:02X}")
-        return Told(name, found, ACTIVE, whole=False)
+        return DtcAnswer(name, found, ACTIVE, whole=False)
 
     def succeed(self, old: Dm1Listener, buses: Mapping[int, int]) -> None:
         """Keep messages that are under way."""

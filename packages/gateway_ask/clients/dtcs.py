@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gateway.faults.dtc import Dtc
-from gateway.faults.vehicle import PERMANENT, SEVERITY, TOLD, Told
+from gateway.faults.vehicle import PERMANENT, SEVERITY, TOLD, DtcAnswer
 from gateway_ask.answers.answer_frames import POSITIVE
 
 READ_DTCS = 0x19
@@ -23,7 +23,7 @@ _LISTS = {
 }
 
 
-def told_by(ecu: str, answer: bytes, request: bytes) -> Told | None:
+def read_dtcs(ecu: str, answer: bytes, request: bytes) -> DtcAnswer | None:
     """Return what an answer says of DTCs; None: nothing.
 
     Args:
@@ -41,11 +41,11 @@ def told_by(ecu: str, answer: bytes, request: bytes) -> Told | None:
         return _of_list(ecu, report, answer, request)
     if report in (SNAPSHOTS, EXTENDED_DATA) and len(answer) > 6:
         dtc = str(Dtc.from_bytes(answer[2:5]))
-        return Told(ecu, {dtc: answer[5]}, 0, kind=f"19{report:02X}", data={dtc: answer[6:].hex().upper()})
+        return DtcAnswer(ecu, {dtc: answer[5]}, 0, kind=f"19{report:02X}", data={dtc: answer[6:].hex().upper()})
     return None
 
 
-def _of_list(ecu: str, report: int, answer: bytes, request: bytes) -> Told | None:
+def _of_list(ecu: str, report: int, answer: bytes, request: bytes) -> DtcAnswer | None:
     """Return what a list of DTCs says; None: it is no whole one."""
     head, at = _LISTS[report], int(report == OF_GROUP)  # behind a byte of severity and class
     if len(answer) < head:
@@ -55,26 +55,26 @@ def _of_list(ecu: str, report: int, answer: bytes, request: bytes) -> Told | Non
     named.pop("P0000-00", None)  # none, as some ECUs write it
     found = {dtc: row[-1] for dtc, row in named.items()}
     if report in (PERMANENTS, PERMANENTS_OF_GROUP):
-        return Told(ecu, dict.fromkeys(found, PERMANENT), PERMANENT, whole=False, kind=f"19{report:02X}")
+        return DtcAnswer(ecu, dict.fromkeys(found, PERMANENT), PERMANENT, whole=False, kind=f"19{report:02X}")
     known = request[:2] == bytes([READ_DTCS, report])
     if report != OF_GROUP:
-        return Told(ecu, found, request[2] if known and report == BY_MASK and len(request) == 3 else 0)
+        return DtcAnswer(ecu, found, request[2] if known and report == BY_MASK and len(request) == 3 else 0)
     data = {dtc: row[:1].hex().upper() for dtc, row in named.items()}
     if not known or len(request) != 5 or request[2] != answer[2]:
-        return Told(ecu, found, 0, kind=SEVERITY, data=data)
+        return DtcAnswer(ecu, found, 0, kind=SEVERITY, data=data)
     covers, severity = request[3], request[4]
     if covers & TOLD == TOLD & 0xFF:
-        return Told(ecu, found, covers, kind=SEVERITY, data=data, severity=severity)
+        return DtcAnswer(ecu, found, covers, kind=SEVERITY, data=data, severity=severity)
     covers |= (covers & _PENDING and _FAILED) | (covers & _CONFIRMED and _LAMP)
     found = {dtc: status & covers for dtc, status in found.items()}
-    return Told(ecu, found, covers, whole=False, kind=SEVERITY, data=data, severity=severity)
+    return DtcAnswer(ecu, found, covers, whole=False, kind=SEVERITY, data=data, severity=severity)
 
 
-def _of_obd(ecu: str, mode: int, answer: bytes) -> Told | None:
+def _of_obd(ecu: str, mode: int, answer: bytes) -> DtcAnswer | None:
     codes = [answer[k : k + 2] for k in range(2, len(answer) - 1, 2)]
     found = {str(Dtc(int.from_bytes(code, "big") << 8))[:5]: _OBD[mode] for code in codes if any(code)}
     whole = len(codes) >= answer[1]  # else the answer is cut, and others may be there
-    return Told(ecu, found, _OBD[mode] if whole else 0, whole=False)
+    return DtcAnswer(ecu, found, _OBD[mode] if whole else 0, whole=False)
 
 
 def details_of(dtc: str) -> tuple[bytes, bytes]:

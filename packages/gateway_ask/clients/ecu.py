@@ -299,10 +299,10 @@ class EcuClient:
             self._declined[ask.protocol] = code
         else:
             ask.refused = f"{ask.declined}{FINAL[code]} (0x{code:02X})"
-            self._tell(ask)
+            self._report(ask)
         self._end(ask, t_ns, heard=True)
 
-    def _tell(self, ask: Ask) -> None:
+    def _report(self, ask: Ask) -> None:
         """Tell of a request that is not asked again."""
         name = self.params.name
         log.warning("an ECU refuses, and is not asked this again", ecu=name, request=ask.name, reason=ask.refused)

@@ -14,7 +14,7 @@ from gateway.bus.id_filter import IdFilter
 from gateway.common.fence import Fence
 from gateway.common.times import NEVER
 from gateway.config.ecu import MARK
-from gateway.faults.vehicle import TOLD, Told
+from gateway.faults.vehicle import TOLD, DtcAnswer
 from gateway.isotp.addressing import FUNCTIONAL
 from gateway.isotp.edges import FLOW_CONTROL, MOST_LONG, MOST_SHORT
 from gateway.runtime.asking import Asking
@@ -22,7 +22,7 @@ from gateway.signals.reassembly import Woven
 from gateway_ask.answers.answer_frames import NEGATIVE, FrameEncoder
 from gateway_ask.clients.ask import Ask
 from gateway_ask.clients.dm1 import MASKS, Dm1Listener
-from gateway_ask.clients.dtcs import READ_DTCS, details_of, told_by
+from gateway_ask.clients.dtcs import READ_DTCS, details_of, read_dtcs
 from gateway_ask.clients.ecu import MS, EcuClient
 from gateway_ask.clients.line import Line
 from gateway_ask.clients.passive_reassembly import Reassembler
@@ -114,7 +114,7 @@ class Poller(Asking):
         self._next_of_bus = dict.fromkeys(rates, 0)
         self._said: list[Frames] = []
         self._sent: deque[tuple[int, int, int, bytes]] = deque(maxlen=MOST_SENT)
-        self.told: deque[Told] = deque()
+        self.told: deque[DtcAnswer] = deque()
         self._heard: dict[tuple[int, int], list[tuple[Ecu, bool]]] = {}
         self._functional: dict[tuple[int, int], list[Ecu]] = {}
         self._groups: dict[tuple[int, int], EcuClient] = {}
@@ -223,16 +223,16 @@ class Poller(Asking):
         if len(answer) > MOST_SHORT:  # only testers ask for so much; no layout has it
             ecu.asked, ecu.weaver.counts["longer"] = b"", ecu.weaver.counts["longer"] + 1
             return empty(0)
-        asked, told = ecu.asked, told_by(ecu.client.params.name, answer, ecu.asked)
+        asked, told = ecu.asked, read_dtcs(ecu.client.params.name, answer, ecu.asked)
         if answer[0] != NEGATIVE or answer[2:3] != bytes([PENDING]):
             ecu.asked = b""
         if told is None:
             return ecu.weaver.frames(answer, t_ns)
         if ours and told.covers and told.typed and ecu.client.params.dtcs is not None:
             self._read_details(ecu, asked, told, t_ns)
-        return self._tell(told, t_ns, ecu.weaver.bus)
+        return self._keep(told, t_ns, ecu.weaver.bus)
 
-    def _tell(self, told: Told, t_ns: int, bus: int) -> Frames:
+    def _keep(self, told: DtcAnswer, t_ns: int, bus: int) -> Frames:
         """Keep what is told, and return the frame that is its place in time."""
         made = empty(1)
         put(made, 0, t_ns, TELLS, b"", bus=bus)
@@ -249,9 +249,9 @@ class Poller(Asking):
     def _broadcast(self, frame: np.void, wanted: bool) -> Frames:
         """Take a frame that may be of DM1; returns the place in time of what it completes."""
         told = None if self._dm1 is None or not wanted else self._dm1.take(frame)
-        return empty(0) if told is None else self._tell(told, int(frame["t_ns"]), self._bus_of[int(frame["bus"])])
+        return empty(0) if told is None else self._keep(told, int(frame["t_ns"]), self._bus_of[int(frame["bus"])])
 
-    def _read_details(self, ecu: Ecu, asked: bytes, told: Told, t_ns: int) -> None:
+    def _read_details(self, ecu: Ecu, asked: bytes, told: DtcAnswer, t_ns: int) -> None:
         """Have the data of DTCs read that came, once each."""
         there = ecu.listed[asked] = {dtc for dtc, status in told.found.items() if status & TOLD}
         ecu.detailed &= set().union(*ecu.listed.values())

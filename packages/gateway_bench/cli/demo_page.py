@@ -64,7 +64,7 @@ class DemoPage:
         gateway.engine.warm()  # kernels are compiled before anybody looks
         self._truth, self._scenario = TruthReader(player), player.scenario
         self._socket = StatusSocket(self._folder / "status", gateway, lambda: _states(gateway))
-        gateway.listen(self._socket.tell)
+        gateway.listen(self._socket.report)
         self._page = PageProcess(self._folder / "status", self._port, open_page=self._open)
         limit = time.monotonic() + PATIENCE_S
         while not self.stop() and time.monotonic() < limit:
@@ -85,7 +85,7 @@ class DemoPage:
             return
         self._socket.on_frames(frames)
         for fact in self._truth.until(int(frames["t_ns"][-1])):
-            self._socket.tell({"event": "injected", "t_ns": fact.t_ns, "text": injected(fact, self._scenario)})
+            self._socket.report({"event": "injected", "t_ns": fact.t_ns, "text": injected(fact, self._scenario)})
 
     def on_step(self, _: int) -> None:
         """Serve the page."""

@@ -143,7 +143,7 @@ def measure(folder: Path, seconds: float = EACH_S) -> dict[str, Any]:
     }
 
 
-def tell(found: dict[str, Any]) -> None:
+def print_measurements(found: dict[str, Any]) -> None:
     """Print the measurements, and their meaning."""
     one, woken, kept = found["one_frame"], found["wake"], found["write"]
     print(f"{found['processors']} processors, load {found['load']:.1f}: other programs that run count")
@@ -167,4 +167,4 @@ class Speed:
 
     seconds = 4 * EACH_S
     measure = staticmethod(measure)
-    tell = staticmethod(tell)
+    show = staticmethod(print_measurements)

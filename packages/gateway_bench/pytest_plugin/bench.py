@@ -289,7 +289,7 @@ class Bench:
 
     def _feed(self, frames: Frames) -> Frames:
         self._heard(frames)
-        self._told(frames)
+        self._reported(frames)
         return self._sent(self.gateway.feed(frames))
 
     def _sent(self, frames: Frames) -> Frames:
@@ -297,7 +297,7 @@ class Bench:
         if len(frames):
             self._wires.send(frames)
             self._heard(frames)
-        return self._told(frames)
+        return self._reported(frames)
 
     def _heard(self, frames: Frames) -> None:
         """Have virtual ECUs hear frames of others: each has heard its own already."""
@@ -307,7 +307,7 @@ class Bench:
                 heard["t_ns"] -= sender.begun_ns
                 sender.player.hear(heard)
 
-    def _told(self, frames: Frames) -> Frames:
+    def _reported(self, frames: Frames) -> Frames:
         if len(frames):
             for listener in self._listeners:
                 listener(frames)

@@ -109,14 +109,14 @@ def leave(
             drive(gateway, player, judge=judge, on_frames=writer.write, fed=collector)
             yield "recording", log
             if collector is not None:
-                from gateway_serve.report.page import Told, write_report  # noqa: PLC0415 - an extra
+                from gateway_serve.report.page import Words, write_report  # noqa: PLC0415 - an extra
 
                 report = folder / "report.html"
                 source = [("scenario", f"{scenario.name}: {scenario.description}"), ("seed", str(player.seed))]
                 findings = [(finding.good, finding.text) for finding in judge.findings()]
                 truth = [(f"{fact.kind.replace('_', ' ')}, {fact.count}", fact.t_ns) for fact in player.truth]
                 events = [gateway.summary(scenario.duration_s)]
-                told = Told(scenario.name, source, scenario.config, events=events, findings=findings, truth=truth)
+                told = Words(scenario.name, source, scenario.config, events=events, findings=findings, truth=truth)
                 write_report(report, gateway, collector, told)
                 yield "report", report
         finally:

@@ -33,7 +33,7 @@ class EcuParams(StrictModel):
         """How the configuration's checks say that messages of its bus are protected, by name."""
         return self._checked
 
-    def told(self, checked: Mapping[str, ProtectionParams]) -> Self:
+    def with_protections(self, checked: Mapping[str, ProtectionParams]) -> Self:
         """Return parameters that know how messages of their bus are checked."""
         copy = self.model_copy()
         copy._checked = checked

@@ -259,7 +259,7 @@ def _check(params: LoopParams, database: Database) -> None:
         raise InputError("this signal is an output, too", key="constants", value=sorted(both)[0])
 
 
-def messages(params: LoopParams, database: Database, *, tell: bool = True) -> list[Sent]:
+def messages(params: LoopParams, database: Database, *, log: bool = True) -> list[Sent]:
     """Return the messages that it sends, chosen and protected as those of a rest bus are.
 
     Raises:
@@ -273,12 +273,12 @@ def messages(params: LoopParams, database: Database, *, tell: bool = True) -> li
             message=params.message,
             cycle_ms=params.cycle_ms,
             protection=params.protection,
-        ).told(params.checked),
+        ).with_protections(params.checked),
         database,
-        tell=tell,
+        log=log,
     )
 
 
 def sends(params: LoopParams, databases: Sequence[Path]) -> dict[str, Protection]:
     """Return the messages that it sends, by name, with their protections."""
-    return {one.message.name: one.protection for one in messages(params, database_of(databases), tell=False)}
+    return {one.message.name: one.protection for one in messages(params, database_of(databases), log=False)}

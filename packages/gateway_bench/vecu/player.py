@@ -222,7 +222,7 @@ class Player:
         else:
             raise InputError(f"the buses are {', '.join(buses)}", key=f"ecu[{k}].bus", value=ecu.bus or "")
         files = self._files.get(bus, ())
-        ecu = ecu.told({name: asked for (of, name), asked in self._protections.items() if of == bus})
+        ecu = ecu.with_protections({name: asked for (of, name), asked in self._protections.items() if of == bus})
         of_messages = [
             (place, fault)
             for place, fault in enumerate(self.scenario.fault)

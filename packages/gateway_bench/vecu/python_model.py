@@ -30,7 +30,7 @@ class _Instance:
         try:
             said = self._made.step(t, dict(inputs))
         except Exception as error:  # any error of a user's class
-            raise InputError(f"step at {t:.4f} s: {_told(error)}", value=type(self._made).__name__) from error
+            raise InputError(f"step at {t:.4f} s: {_text_of(error)}", value=type(self._made).__name__) from error
         if not isinstance(said, Mapping):
             text = f"step at {t:.4f} s returned {type(said).__name__}, not a dict of outputs"
             raise InputError(text, value=type(self._made).__name__)
@@ -42,7 +42,7 @@ class _Instance:
             close()
 
 
-def _told(error: Exception) -> str:
+def _text_of(error: Exception) -> str:
     if isinstance(error, GatewayError):
         return str(error)
     frames = traceback.extract_tb(error.__traceback__)
@@ -74,7 +74,7 @@ def _made(class_: type, params: LoopParams, run: Run) -> Model:
     try:
         return _Instance(class_(**params.parameters, **more))
     except Exception as error:  # any error of a user's class
-        raise InputError(f"{class_.__name__} cannot be made: {_told(error)}", key="parameters") from error
+        raise InputError(f"{class_.__name__} cannot be made: {_text_of(error)}", key="parameters") from error
 
 
 def _begin(class_: type, params: LoopParams, faults: Sequence[LoopFault], run: Run) -> Running:

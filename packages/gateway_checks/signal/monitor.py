@@ -55,7 +55,7 @@ PASSED, FAILED, OPEN = range(3)
 
 
 @kernel
-def tell(out: Any, p: One, s: Course, kind: int, failed: bool, value: float, limit: float, shown: float) -> None:
+def report_test(out: Any, p: One, s: Course, kind: int, failed: bool, value: float, limit: float, shown: float) -> None:
     """Report a test of a signal, if it is asked for; ``shown`` is its evidence."""
     if p.fault[kind] >= 0:
         evidence = report(out, p.fault[kind], failed, value, limit)
@@ -91,9 +91,9 @@ def is_none(out: Any, p: One, s: Course, x: float) -> bool:
     for k in range(p.values):
         known = known or x == p.allowed[k]
     ones = x == p.ones
-    tell(out, p, s, INVALID, code, x, x, x)
-    tell(out, p, s, ALL_ONES, ones and not code, x, p.ones, x)
-    tell(out, p, s, UNDEFINED, not (known or code or ones), x, x, x)
+    report_test(out, p, s, INVALID, code, x, x, x)
+    report_test(out, p, s, ALL_ONES, ones and not code, x, p.ones, x)
+    report_test(out, p, s, UNDEFINED, not (known or code or ones), x, x, x)
     return code or ones or not known
 
 
@@ -151,11 +151,11 @@ def watch_movement(out: Any, p: One, s: Course, x: float, other: float, seconds:
         return
     s.tested = 1
     if p.stuck_share > 0.0:
-        tell(out, p, s, STUCK, verdict == FAILED, s.moved, p.stuck_share, x)
+        report_test(out, p, s, STUCK, verdict == FAILED, s.moved, p.stuck_share, x)
     elif p.moving_by > 0.0:
-        tell(out, p, s, STUCK, verdict == FAILED, abs(other - s.other), p.moving_by, x)
+        report_test(out, p, s, STUCK, verdict == FAILED, abs(other - s.other), p.moving_by, x)
     else:
-        tell(out, p, s, STUCK, verdict == FAILED, s.still_s, p.stuck_s, x)
+        report_test(out, p, s, STUCK, verdict == FAILED, s.still_s, p.stuck_s, x)
 
 
 @kernel
@@ -194,21 +194,21 @@ def look(out: Any, p: One, s: Course, t_ns: int, x: float, other: float) -> None
     seconds = (t_ns - s.before_ns) * 1e-9 if s.valid > 0 else 0.0
     below = beyond(p, s, BELOW, p.electrical_low - x)
     above = beyond(p, s, ABOVE, x - p.electrical_high)
-    tell(out, p, s, BELOW, below, x, p.electrical_low, x)
-    tell(out, p, s, ABOVE, above, x, p.electrical_high, x)
+    report_test(out, p, s, BELOW, below, x, p.electrical_low, x)
+    report_test(out, p, s, ABOVE, above, x, p.electrical_high, x)
     if not (below or above):
-        tell(out, p, s, LOW, beyond(p, s, LOW, p.low - x), x, p.low, x)
-        tell(out, p, s, HIGH, beyond(p, s, HIGH, x - p.high), x, p.high, x)
+        report_test(out, p, s, LOW, beyond(p, s, LOW, p.low - x), x, p.low, x)
+        report_test(out, p, s, HIGH, beyond(p, s, HIGH, x - p.high), x, p.high, x)
     least_s = p.least_s if p.least_s > 0.0 else usual_s
     if s.valid > 0 and least_s > 0.0:
         rate = abs(x - s.before) / max(seconds, least_s)
-        tell(out, p, s, GRADIENT, rate > p.gradient, rate, p.gradient, x)
+        report_test(out, p, s, GRADIENT, rate > p.gradient, rate, p.gradient, x)
     if p.fault[STUCK] >= 0:
         watch_movement(out, p, s, x, other, seconds, usual_s)
     if p.fault[NOISE] >= 0:
         deviation = scatter(p, s, x)
         if s.even > p.samples:
-            tell(out, p, s, NOISE, deviation > p.deviation, deviation, p.deviation, deviation)
+            report_test(out, p, s, NOISE, deviation > p.deviation, deviation, p.deviation, deviation)
         s.even += 1
     s.second, s.before, s.before_ns = s.before, x, t_ns
     s.valid += 1

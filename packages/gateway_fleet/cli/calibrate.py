@@ -163,7 +163,7 @@ def _learn(file: Path, logs: list[Path], targets: Targets, maps: Sequence[str]) 
         return calibrate(file, logs, targets, maps, lambda count: bar.advance(task, count))
 
 
-class _Told:
+class _Reading:
     """Tells how far the logs are read.
 
     Args:
@@ -201,7 +201,7 @@ def _learn_of_fleet(
     if not anything(load_afresh(file, told=True)):
         raise refuse("thresholds", file)
     workers = Workers(fleet.scheduler, default_workers() if fleet.workers is None else fleet.workers)
-    return healthy.learn(file, find(logs), fleet.out, workers, targets, tuple(maps), _Told(silent=silent))
+    return healthy.learn(file, find(logs), fleet.out, workers, targets, tuple(maps), _Reading(silent=silent))
 
 
 def _show(targets: Targets, learned: Found, console: Console) -> None:

@@ -24,17 +24,17 @@ from gateway_logs.corpus import find
 MOST_FINDINGS = 30
 
 
-def _teller(*, as_json: bool) -> Callable[[Outcome, int], None]:
+def _reporter(*, as_json: bool) -> Callable[[Outcome, int], None]:
     """Return what tells how far a run is: an event a log, or a line."""
     done = LogsDone(goes_on=True)
 
-    def tell(outcome: Outcome, left: int) -> None:
+    def report(outcome: Outcome, left: int) -> None:
         if as_json:
             print_json({"event": "judged", **_event(outcome), "left": left})
         else:
             done(left, outcome.frames)
 
-    return tell
+    return report
 
 
 def _event(outcome: Outcome) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def fleet_run(
         dashboard=dashboard,
     )
     begun = time.monotonic()
-    result = run(order, _teller(as_json=json))
+    result = run(order, _reporter(as_json=json))
     states = Counter(outcome.state for outcome in result.outcomes)
     failed = sum(states[state] for state in FAILED)
     summary = {
@@ -103,11 +103,11 @@ def fleet_run(
     else:
         told = ", ".join(f"{count} {state}" for state, count in sorted(states.items())) or "nothing new"
         print(f"{len(order.recordings)} logs, {result.known} judged before; now: {told}. Tables: {out}")
-        _tell(answer(Verdicts(out)), out)
+        _print(answer(Verdicts(out)), out)
     return 2 if failed else 0
 
 
-def _tell(found: Answer, out: Path) -> None:
+def _print(found: Answer, out: Path) -> None:
     """Print which cars have what, and the way on."""
     print(found.verdict() + (":" if found.findings else "."))
     if not found.findings:
@@ -139,7 +139,7 @@ def fleet_report(folder: Path, *, html: Path | None, csv: Path | None, json: boo
     if json:
         print_json({"event": "fleet_report", "verdict": found.verdict(), "findings": [x.row() for x in found.findings]})
     elif csv is None and html is None:
-        _tell(found, folder)
+        _print(found, folder)
     else:
         say(f"{' and '.join(str(file) for file in (html, csv) if file is not None)}: {found.verdict()}")
     return 0
@@ -158,7 +158,7 @@ def fleet_diff(first: Path, second: Path, *, json: bool) -> int:
         table = table_of("log", "device", "at [s]", "first", "second", "DTCs gone", "DTCs new")
         for one in found.changed:
             at = "" if one.at_s is None else f"{one.at_s:.3f}"
-            events = [_told_event(event) for event in (one.before, one.after)]
+            events = [_event_text(event) for event in (one.before, one.after)]
             if one.states[0] != one.states[1]:
                 events = [f"{state}; {event}" for state, event in zip(one.states, events, strict=True)]
             table.add_row(_short(one.path), one.device, at, *events, ", ".join(one.gone), ", ".join(one.new))
@@ -171,5 +171,5 @@ def fleet_diff(first: Path, second: Path, *, json: bool) -> int:
     return 1 if found.changed else 0
 
 
-def _told_event(event: dict[str, Any] | None) -> str:
+def _event_text(event: dict[str, Any] | None) -> str:
     return "nothing" if event is None else f"{event['dtc']} {event['fault']} 0x{event['status']:02X}"

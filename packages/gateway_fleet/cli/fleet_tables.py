@@ -80,7 +80,7 @@ def fleet_learn(
     answers = _answers(folder)
     from gateway_fleet.learn.tails import Rate  # noqa: PLC0415 - of this command only
     from gateway_fleet.live.campaign import Campaign  # noqa: PLC0415
-    from gateway_fleet.live.signed_documents import told  # noqa: PLC0415
+    from gateway_fleet.live.signed_documents import to_toml  # noqa: PLC0415
 
     if out.exists():
         raise InputError("the file is there already", file=out)
@@ -92,7 +92,7 @@ def fleet_learn(
     for fault, (sign, pooled, cars) in sorted(found.items()):
         if pooled is not None and fault.rpartition(".")[2] in _ENDS:
             limits += _limits(fault, sign, pooled, cars)
-        _tell(table, fault, sign, pooled, as_json=json)
+        _print(table, fault, sign, pooled, as_json=json)
     if not json:
         wide_console().print(table)
     if not limits:
@@ -102,7 +102,7 @@ def fleet_learn(
         "fleet": fleet, "name": name, "serial": serial, "until": datetime.now(UTC) + timedelta(days=days),
         "model": model, "software": software, "limit": limits, "control_per_hour": rates,
     })  # fmt: skip
-    out.write_text(told(campaign.model_dump()), encoding="utf-8")
+    out.write_text(to_toml(campaign.model_dump()), encoding="utf-8")
     say(f"{out}: limits of {len(limits)} tests; look at it, then gateway fleet sign")
     return 0
 
@@ -115,7 +115,7 @@ def _limits(fault: str, sign: int, pooled: Pooled, cars: Sequence[str]) -> list[
     return [{"test": fault, "limit": sign * float(f"{value:.6g}"), "car": car} for car, value in of]
 
 
-def _tell(table: Any, fault: str, sign: int, pooled: Pooled | None, *, as_json: bool) -> None:
+def _print(table: Any, fault: str, sign: int, pooled: Pooled | None, *, as_json: bool) -> None:
     if as_json:
         told = None if pooled is None else {
             "limit": None if pooled.own else sign * pooled.limit, "cars": pooled.cars, "blocks": pooled.blocks,

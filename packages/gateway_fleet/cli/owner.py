@@ -83,14 +83,14 @@ def fleet_next(file: Path, folder: Path, key: Path, out: Path, *, least_hours: f
     from gateway_fdi.common.tomlfile import parse_toml, validate  # noqa: PLC0415 - of an extra
     from gateway_fleet.live.answers import Answers  # noqa: PLC0415
     from gateway_fleet.live.campaign import Campaign, next_stage  # noqa: PLC0415
-    from gateway_fleet.live.signed_documents import CAMPAIGN, content_of, private_of, sign, told  # noqa: PLC0415
+    from gateway_fleet.live.signed_documents import CAMPAIGN, content_of, private_of, sign, to_toml  # noqa: PLC0415
 
     campaign = validate(parse_toml(content_of(file.read_bytes()), file), Campaign, file)
     stage, why = next_stage(campaign, Answers(folder).by_limits(), least_hours)
     say(f"{campaign.name}: {why}")
     if stage is None:
         return 1
-    _write(out, sign(CAMPAIGN, told(stage.model_dump()), private_of(key)))
+    _write(out, sign(CAMPAIGN, to_toml(stage.model_dump()), private_of(key)))
     return 0
 
 

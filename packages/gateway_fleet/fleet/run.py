@@ -99,12 +99,12 @@ def run(order: Order, progress: Progress = lambda outcome, left: None) -> Result
             result.outcomes.append(outcome)
             progress(outcome, left)
     if result.outcomes:
-        result.copies = _tell_copies(order, manifest, verdicts, {one.log for one in result.outcomes if not one.fresh})
+        result.copies = _write_copies(order, manifest, verdicts, {one.log for one in result.outcomes if not one.fresh})
         verdicts.put_together()
     return result
 
 
-def _tell_copies(order: Order, manifest: Manifest, verdicts: Verdicts, moved: set[str]) -> list[Path]:
+def _write_copies(order: Order, manifest: Manifest, verdicts: Verdicts, moved: set[str]) -> list[Path]:
     """Have each verdict name the first recording of these contents, and each other one a row of ``errors``.
 
     The tables are the same in any order of judging.
@@ -128,9 +128,9 @@ def _tell_copies(order: Order, manifest: Manifest, verdicts: Verdicts, moved: se
         first, others = recordings[0], recordings[1:]
         if others or log in moved:
             verdicts.name(log, first)
-        verdicts.tell_copy(first, log, None)
+        verdicts.write_copy(first, log, None)
         for other in others:
-            verdicts.tell_copy(other, log, first)
+            verdicts.write_copy(other, log, first)
             copies.append(other.path)
     return copies
 

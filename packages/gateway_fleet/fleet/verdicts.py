@@ -227,7 +227,7 @@ class Verdicts:
                     row["text"] = row["text"].replace(before, str(recording.path))
         self.write(log, verdict)
 
-    def tell_copy(self, recording: Recording, log: str, first: Recording | None) -> None:
+    def write_copy(self, recording: Recording, log: str, first: Recording | None) -> None:
         """Write that a recording has the contents of another one, which is judged; None: it has not."""
         path = self.path("errors", hashlib.sha256(f"copy {recording.path}".encode()).hexdigest()[:DIGITS])
         if first is None:

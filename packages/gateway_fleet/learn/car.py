@@ -119,8 +119,8 @@ def learn(
     """Learn a configuration; see :func:`gateway_api.learn`. Returns its file, and what was learned."""
     how = Asking(hold_out=hold_out, maps=maps, seed=seed, update=update, force=overwrite)
     asked = asked_for(databases, logs, out, how)
-    with shown(progress) as tell:
-        result = learned(asked, lambda what, which, done: tell(done))
+    with shown(progress) as report:
+        result = learned(asked, lambda what, which, done: report(done))
     return out, data(result)
 
 

@@ -69,12 +69,12 @@ def everyday(proof: Replayed, seed: int, progress: Callable[[int, int], None]) -
         for done, (kind, make) in enumerate(KINDS.items()):
             fault = make(drives[k]) if kind not in (AWAY, UNKNOWN) else None
             if fault is not None and len(fault.frames):
-                found.append(_told(kind, fault, codes_of(proof, proof.before[k], fault.frames), sees))
+                found.append(_everyday(kind, fault, codes_of(proof, proof.before[k], fault.frames), sees))
             progress(number * len(KINDS) + done + 1, ROUNDS * len(KINDS))
     return found
 
 
-def _told(kind: str, fault: Fault, codes: dict[str, float], sees: dict[str, set[str]]) -> Everyday:
+def _everyday(kind: str, fault: Fault, codes: dict[str, float], sees: dict[str, set[str]]) -> Everyday:
     """Return what codes say of a fault."""
     named = any(sees.get(code, set()) & fault.right for code in codes)
     accused = any(sees.get(code) and not sees[code] & fault.concerned for code in codes)

@@ -23,7 +23,7 @@ from gateway_checks.signal.parts import no_value
 from gateway_fleet.learn import observers
 from gateway_fleet.learn.course import Courses
 from gateway_fleet.learn.gaps import WAKE_MS, Gaps
-from gateway_fleet.learn.pauses import Pauses, tell_wakes
+from gateway_fleet.learn.pauses import Pauses, set_wakes
 from gateway_fleet.learn.protection_check import Payloads
 from gateway_fleet.learn.samples import Samples
 from gateway_fleet.learn.snapshots import Snapshots
@@ -311,7 +311,7 @@ class Observer:
     def result(self) -> Observation:
         """Return what was seen."""
         for bus in range(len(self._pauses)):
-            tell_wakes([seen.gaps for seen in self._made if seen.bus == bus])
+            set_wakes([seen.gaps for seen in self._made if seen.bus == bus])
         matrix, step_s, every_s = self._snapshots.matrix(), self._snapshots.step_s, self._snapshots.every_s()
         for seen in self._made:
             for k, course in enumerate(seen.courses.each):

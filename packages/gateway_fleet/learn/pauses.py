@@ -81,7 +81,7 @@ class Pauses:
         gaps.add(t_ns, none)
 
 
-def tell_wakes(gaps: Sequence[Gaps]) -> None:
+def set_wakes(gaps: Sequence[Gaps]) -> None:
     """Tell each message of a bus after how many pauses the bus woke up, and how late the message came."""
     woke = {
         number

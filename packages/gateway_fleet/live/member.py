@@ -95,7 +95,7 @@ class Member:
                     if self._trials is not None:
                         self._drove(self._trials, hours, self._causes.told - causes)
                     causes = self._causes.told
-                await self._tell()
+                await self._report()
         finally:
             self._shadow.end()
 
@@ -114,7 +114,7 @@ class Member:
             with suppress(Refused):
                 self.drive.note((await self.car.link.ask("values", signals=self.drive.signals))["values"])
 
-    async def _tell(self) -> None:
+    async def _report(self) -> None:
         """Have the daemon keep events for the fleet, or write them where there is none."""
         statistics = self.drive.take()
         if self._trials is not None and self._trials.campaign is not None:

@@ -15,7 +15,7 @@ from gateway.faults.memory_reader import MemoryReader
 from gateway.faults.outgoing import Outgoing, Tally
 from gateway.faults.records import Changes
 from gateway.faults.store import Store
-from gateway.runtime.contract import DETAIL, told_to_fleet
+from gateway.runtime.contract import DETAIL, reported_to_fleet
 from gateway_fdi.errors import GatewayError
 
 #: Bytes that may wait: nothing goes while others are taken away.
@@ -84,7 +84,8 @@ class Queue:
             GatewayError: they could not be written.
         """
         made = [
-            Outgoing(int(event["t_ns"]), told_to_fleet(event) == DETAIL, car.serial, line(event)) for event in events
+            Outgoing(int(event["t_ns"]), reported_to_fleet(event) == DETAIL, car.serial, line(event))
+            for event in events
         ]
         return self._written(Changes(outgoing=made, outgoing_bytes=car.bytes))
 

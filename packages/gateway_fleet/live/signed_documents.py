@@ -145,7 +145,7 @@ def is_over(until: datetime, now: datetime) -> bool:
     return until.tzinfo is None or until <= now
 
 
-def told(values: Mapping[str, Any]) -> str:
+def to_toml(values: Mapping[str, Any]) -> str:
     """Return a document's TOML."""
     import tomlkit  # noqa: PLC0415 - slow to load
 

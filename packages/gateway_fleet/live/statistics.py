@@ -112,7 +112,7 @@ class Drive:
             here = [(name, test) for name, test in sorted(self._tests.items()) if test.blocks.get(condition)]
             seconds = BLOCK_S * max(len(test.blocks[condition]) for _, test in here)
             for part, at in enumerate(range(0, len(here), TESTS)):
-                tests = told({name: (test, test.blocks[condition]) for name, test in here[at : at + TESTS]})
+                tests = columns({name: (test, test.blocks[condition]) for name, test in here[at : at + TESTS]})
                 self._done.append({
                     "event": "statistics", "t_ns": t_ns, "begin_ns": self._begin_ns, "part": part,
                     "condition": condition, "block_s": BLOCK_S, "seconds": seconds, "tests": tests,
@@ -135,7 +135,7 @@ def _is_met(condition: FleetCondition, value: float | None) -> bool:
     return (condition.min is None or value >= condition.min) and (condition.max is None or value <= condition.max)
 
 
-def told(tests: Mapping[str, tuple[_Test, Sequence[float]]]) -> dict[str, list[Any]]:
+def columns(tests: Mapping[str, tuple[_Test, Sequence[float]]]) -> dict[str, list[Any]]:
     """Return tests and their blocks as columns: see :data:`STATISTICS`."""
     columns: dict[str, list[Any]] = {name: [] for name in STATISTICS}
     for name, (test, blocks) in tests.items():

@@ -27,7 +27,7 @@ from gateway_fdi.common.tomlfile import parse_toml, read_toml, validate
 from gateway_fdi.errors import GatewayError
 from gateway_fleet.live.campaign import BY_CHANCE, Campaign, above_rate, accepted, is_in, more_often
 from gateway_fleet.live.limits import LimitsFile, applied
-from gateway_fleet.live.signed_documents import KEYS, Keyring, content_of, next_keyring, opened, told
+from gateway_fleet.live.signed_documents import KEYS, Keyring, content_of, next_keyring, opened, to_toml
 
 SHADOW, WAITS, ACTIVE, BACK = "shadow", "waits", "active", "back"
 
@@ -224,7 +224,7 @@ class Trials:
             self._change(WAITS, "no more causes in shadow")
         if state.state == WAITS and is_in(campaign.share, campaign.fleet, campaign.name, self._car.car):
             limits = [one.model_dump() for one in campaign.limit]
-            _write(self._limits, told({"serial": campaign.serial, "limit": limits}))
+            _write(self._limits, to_toml({"serial": campaign.serial, "limit": limits}))
             self._change(ACTIVE, f"in a share of {campaign.share:.0%}")
             self._reload()
         if state.state == ACTIVE:

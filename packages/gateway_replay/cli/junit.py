@@ -79,7 +79,7 @@ def write_junit(
         name = case.name if number == 1 else f"{case.name} ({number})"
         keys = {"classname": _plain(suite), "name": _plain(name), "time": f"{seconds / len(cases):.3f}"}
         entry = Xml.SubElement(top, "testcase", keys)
-        _tell(entry, case)
+        _write(entry, case)
         if left and case.outcome in ("failure", "error"):
             Xml.SubElement(entry, "system-out").text = _plain(left)
     Xml.indent(root)
@@ -90,7 +90,7 @@ def write_junit(
         raise InputError(error.strerror or str(error), file=path, key="--junit") from error
 
 
-def _tell(entry: Xml.Element, case: Case) -> None:
+def _write(entry: Xml.Element, case: Case) -> None:
     text = _plain(case.text)
     if case.outcome == "passed":
         if text:

@@ -129,13 +129,13 @@ def _at_once(logs: Sequence[Path], config: Path | None, jobs: int, options: dict
             codes[place] = code
             progress.clear()
             while told in codes:
-                _tell(tasks[told])
+                _print(tasks[told])
                 told += 1
             progress(len(logs) - len(codes))
         return max(codes.values())
 
 
-def _tell(task: Task) -> None:
+def _print(task: Task) -> None:
     """Print what a worker would have printed."""
     for stream, to in zip(_STREAMS, (sys.stdout, sys.stderr), strict=True):
         path = task.file(stream)

@@ -34,8 +34,8 @@ class RunReport:
         self.write(log.name, source, events=events)
 
     def write(self, title: str, source: Sequence[tuple[str, str]], **more: Any) -> None:
-        """Write the report: its title, the command that was run, and more of ``gateway_serve.report.page.Told``."""
-        from gateway_serve.report.page import Told, write_report  # noqa: PLC0415 - loads bokeh
+        """Write the report: its title, the command that was run, and more of ``gateway_serve.report.page.Words``."""
+        from gateway_serve.report.page import Words, write_report  # noqa: PLC0415 - loads bokeh
 
-        write_report(self._path, self._gateway, self.collector, Told(title, source, self._config, **more))
+        write_report(self._path, self._gateway, self.collector, Words(title, source, self._config, **more))
         say(f"report: {self._path}")

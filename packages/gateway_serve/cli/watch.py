@@ -67,7 +67,7 @@ async def _show_once(hub: Hub, *, json: bool) -> int:
     if not hub.connected:
         raise GatewayError(absence(hub.reason))
     if json:
-        print_json(told(hub))
+        print_json(as_json(hub))
     else:
         from rich.console import Console  # noqa: PLC0415 - slow to load
 
@@ -87,7 +87,7 @@ async def _show(hub: Hub) -> None:
             live.update(drawn(hub), refresh=True)
 
 
-def told(hub: Hub) -> dict[str, Any]:
+def as_json(hub: Hub) -> dict[str, Any]:
     """Return what is shown, for programs."""
     faults = hub.hello["faults"]
     return {

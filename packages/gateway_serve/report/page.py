@@ -26,7 +26,7 @@ from gateway_serve.bokeh_files import bokeh_folder
 from gateway_serve.report.collect import Collector
 from gateway_serve.report.figures import Figure, band, columns_of, documents, fine_columns, load
 from gateway_serve.report.timeline import Span, timeline
-from gateway_serve.words import number, told_in_words, unit_of
+from gateway_serve.words import number, sentences, unit_of
 
 #: Figures of residuals with a failure, and without one.
 MOST_FAILED, MOST_OTHERS = 12, 6
@@ -39,7 +39,7 @@ OF_THE_MOMENT = ("seconds", "frames_per_s")
 
 
 @dataclass(frozen=True)
-class Told:
+class Words:
     """A report's words about its run.
 
     Attributes:
@@ -69,7 +69,7 @@ def file_hash(path: Path) -> str:
     return made.hexdigest()
 
 
-def write_report(path: Path, gateway: Gateway, found: Collector, told: Told) -> None:
+def write_report(path: Path, gateway: Gateway, found: Collector, told: Words) -> None:
     """Write the report of a run that is over.
 
     Args:
@@ -82,7 +82,7 @@ def write_report(path: Path, gateway: Gateway, found: Collector, told: Told) -> 
 
 
 class _Page:
-    def __init__(self, gateway: Gateway, found: Collector, told: Told) -> None:
+    def __init__(self, gateway: Gateway, found: Collector, told: Words) -> None:
         self._gateway, self._found, self._told = gateway, found, told
         self._figures: list[Figure] = []
         self._entries = sorted(gateway.memory.entries(), key=lambda entry: (entry.record.first_ns or 0, str(entry.dtc)))
@@ -202,7 +202,7 @@ class _Page:
     def _code(self, entry: Entry, shown: Mapping[str, Any]) -> str:
         definition, kept = self._gateway.memory.definition(entry.fault), entry.record
         severity, _ = severity_names(definition.severity)
-        words = told_in_words({**shown, "remedy": definition.remedy, "severity": severity, "tested": definition.tested})
+        words = sentences({**shown, "remedy": definition.remedy, "severity": severity, "tested": definition.tested})
         bits = ", ".join((bit.name or "").replace("_", " ").lower() for bit in Status(entry.status)) or "none"
         parts = [
             f'<article class="dtc" data-dtc="{entry.dtc}"><div class="more"><h3>{entry.dtc} {escape(entry.fault)}</h3>',

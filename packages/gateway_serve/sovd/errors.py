@@ -75,7 +75,7 @@ def error_body(status: int, message: str, code: str = "", parameters: Mapping[st
     told = GenericError(
         error_code=code, vendor_code=vendor, message=message, parameters=dict(parameters) if parameters else None
     )
-    return line(told.told()).encode()
+    return line(told.as_json()).encode()
 
 
 def negative(answer: bytes) -> SovdError:

@@ -15,7 +15,7 @@ class Model(BaseModel):
 
     model_config = ConfigDict(extra="forbid", populate_by_name=True)
 
-    def told(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return it for JSON."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)
 

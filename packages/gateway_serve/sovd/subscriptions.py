@@ -170,9 +170,9 @@ async def _read(call: Call, resource: str) -> dict[str, Any]:
     one = call.state.components()[OWN]
     if match[1]:
         found = await faults.of(call)
-        return faults.FaultList(items=[each.shown for each in found.values()]).told()
+        return faults.FaultList(items=[each.shown for each in found.values()]).as_json()
     key = unquote(match[2])
-    return ReadValue(id=key, data=await data.read(call, one, key)).told()
+    return ReadValue(id=key, data=await data.read(call, one, key)).as_json()
 
 
 def _stream(kind: str) -> Callable[[Call], Any]:
@@ -194,7 +194,7 @@ async def _events(call: Call, one: Subscription) -> AsyncIterator[str]:
     try:
         while loop.time() < one.until_s and not call.state.hub.ending:
             event = await _event(call, one)
-            said = event.told()
+            said = event.as_json()
             now = {name: said.get(name) for name in ("payload", "error")}
             if one.kind == _CYCLIC or _fires(one, before, now):
                 quiet_s = loop.time()

@@ -103,7 +103,7 @@ async def serve(endpoint: Endpoint, state: State, request: Request) -> Response:
         headers, found = {"location": found.location}, found.answer
     if found is None:
         return Response(status_code=204)
-    told = found.told()
+    told = found.as_json()
     if isinstance(found, Described) and isinstance(query, Describing) and query.include_schema == "true":
         told["schema"] = type(found).model_json_schema(mode="serialization")
     return Response(line(told), endpoint.status, headers, JSON)

@@ -15,7 +15,7 @@ from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.servers.bus_server import BusServer
 from gateway.servers.lines import Lines
-from gateway.servers.route import LONGEST_REQUEST, Route, is_told
+from gateway.servers.route import LONGEST_REQUEST, Route, is_answered
 from gateway.servers.uds.nrc import Nrc
 from gateway.servers.uds.server import UdsServer
 from gateway_fdi.common.log import get_logger
@@ -320,21 +320,21 @@ class DoipServer(BusServer):
         assert one.server is not None
         refusal = route.refusal(request, one.server, self._now_ns)
 
-        def tell(answer: bytes | None) -> None:
+        def send_answer(answer: bytes | None) -> None:
             if one.ends:
                 self._count("routes_without_tester")
             elif answer is not None:
                 much = len(answer) > self.params.most_bytes - ADDRESSES
                 self._answer(one, [bytes([0x7F, request[0], Nrc.RESPONSE_TOO_LONG]) if much else answer], target)
 
-        taken = bool(refusal) or route.ask(request, one, tell, functional=functional)
+        taken = bool(refusal) or route.ask(request, one, send_answer, functional=functional)
         if not functional and not taken:
             self._refuse(one, body, Nack.OUT_OF_MEMORY)
             return
         if not functional:
             self._acknowledge(one, body)
-        if refusal and is_told(refusal, functional):
-            tell(refusal)
+        if refusal and is_answered(refusal, functional):
+            send_answer(refusal)
 
     def _refuse(self, one: Connection, body: bytes, code: Nack) -> None:
         self._count("requests_refused")
@@ -359,10 +359,10 @@ class DoipServer(BusServer):
         """Send the responses that testers asked for on changes (0x86)."""
         self._now_ns = max(self._now_ns, t_ns)
         for each in self.active:
-            self.wall.keep(self._tell_changes, each, changes, t_ns, of=each, ends=self._end)
+            self.wall.keep(self._report_changes, each, changes, t_ns, of=each, ends=self._end)
         return empty(0)
 
-    def _tell_changes(self, one: Connection, changes: Sequence[DtcChange], t_ns: int) -> None:
+    def _report_changes(self, one: Connection, changes: Sequence[DtcChange], t_ns: int) -> None:
         if one.server is not None:
             self._answer(one, one.server.on_changes(changes, t_ns))
 

@@ -90,7 +90,9 @@ class FmuModel:
         except InputError:
             raise
         except Exception as error:  # FMPy raises what it likes where a library cannot be loaded
-            raise InputError(f"the FMU cannot be started: {_told(error)}", key="file", value=str(self._file)) from error
+            raise InputError(
+                f"the FMU cannot be started: {_text_of(error)}", key="file", value=str(self._file)
+            ) from error
 
     def _described(self) -> Any:
         """Return the model description of the file, which is unpacked.
@@ -110,7 +112,7 @@ class FmuModel:
         except InputError as error:
             raise InputError(error.message, key="file", value=value) from error
         except Exception as error:  # FMPy raises plain Exception for what is wrong with a description
-            raise InputError(f"this FMU cannot be read: {_told(error)}", key="file", value=value) from error
+            raise InputError(f"this FMU cannot be read: {_text_of(error)}", key="file", value=value) from error
         if not str(described.fmiVersion).startswith(("2", "3")):
             raise InputError(f"an FMU of FMI 2 or 3, this is {described.fmiVersion}", key="file", value=value)
         if described.coSimulation is None:
@@ -162,7 +164,7 @@ class FmuModel:
         except InputError:
             raise
         except Exception as error:  # FMPy's own errors, and those of its functions for C
-            raise InputError(f"at {t:.4f} s: {_told(error)}", key="file", value=str(self._file)) from error
+            raise InputError(f"at {t:.4f} s: {_text_of(error)}", key="file", value=str(self._file)) from error
         return said
 
     def _go_on(self, t: float) -> None:
@@ -188,9 +190,9 @@ class FmuModel:
                 instance.terminate()
                 instance.freeInstance()
             except Exception as error:  # it is over anyway
-                _log.warning("an FMU did not end cleanly", file=str(self._file), error=_told(error))
+                _log.warning("an FMU did not end cleanly", file=str(self._file), error=_text_of(error))
         shutil.rmtree(self._folder, ignore_errors=True)
 
 
-def _told(error: Exception) -> str:
+def _text_of(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__

@@ -127,7 +127,7 @@ def _frames(params: RestbusParams, _faults: Sequence[EcuFault], run: Run) -> tup
 
 
 def _sends(params: RestbusParams, databases: Sequence[Path]) -> dict[str, Protection]:
-    return {one.message.name: one.protection for one in sent(params, database_of(databases), tell=False)}
+    return {one.message.name: one.protection for one in sent(params, database_of(databases), log=False)}
 
 
 def _locate(params: RestbusParams, folder: Path, key: str) -> RestbusParams:

@@ -40,13 +40,13 @@ class Sent:
     protection: Protection
 
 
-def sent(params: RestbusParams, database: Database, *, tell: bool = True) -> list[Sent]:
+def sent(params: RestbusParams, database: Database, *, log: bool = True) -> list[Sent]:
     """Return what a rest bus sends.
 
     Args:
         params: of the ECU.
         database: of its bus.
-        tell: say in the log what is not sent, or sent without its protection; once is enough.
+        log: say in the log what is not sent, or sent without its protection; once is enough.
 
     Raises:
         InputError: nodes or messages that are not there, a message that cannot be sent, none at all.
@@ -72,19 +72,19 @@ def sent(params: RestbusParams, database: Database, *, tell: bool = True) -> lis
             without_cycle.append(name)
             continue
         found.append(
-            Sent(message, float(period_ms) * 1e-3, _protection(params, own, place, message, database, tell=tell))
+            Sent(message, float(period_ms) * 1e-3, _protection(params, own, place, message, database, log=log))
         )
     if not found:
         text = f"none of {len(chosen)} messages has a cycle time in the database: give cycle_ms"
         raise InputError(text, key="cycle_ms")
-    if not tell:
+    if not log:
         return found
-    _tell(params, without_cycle, "no cycle time in the database, and no cycle_ms")
-    _tell(params, broken, "signals beyond its end")
+    _print(params, without_cycle, "no cycle time in the database, and no cycle_ms")
+    _print(params, broken, "signals beyond its end")
     return found
 
 
-def _tell(params: RestbusParams, names: list[str], why: str) -> None:
+def _print(params: RestbusParams, names: list[str], why: str) -> None:
     """Say which messages are not sent."""
     if names:
         shown = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
@@ -133,7 +133,7 @@ def usual(checked: Mapping[str, ProtectionParams], message: Message, database: D
 
 
 def _protection(
-    params: RestbusParams, table: RestbusMessage | None, k: int, message: Message, database: Database, *, tell: bool
+    params: RestbusParams, table: RestbusMessage | None, k: int, message: Message, database: Database, *, log: bool
 ) -> Protection:
     """Return how a message is protected.
 
@@ -154,6 +154,6 @@ def _protection(
         if own:
             with under(f"message[{k}]"):
                 raise
-        if tell:
+        if log:
             _log.warning("sent without a protection", ecu=params.name, message=message.name, why=error.message)
         return Protection()

@@ -123,7 +123,7 @@ def drives(
     if json:
         print_json(_data(study))
     else:
-        _tell(study)
+        _print(study)
     return 2 if study.errors else 0
 
 
@@ -174,7 +174,7 @@ def _data(study: Study) -> dict[str, Any]:
     }
 
 
-def _tell(study: Study) -> None:
+def _print(study: Study) -> None:
     table = table_of("vehicle", "learned of", "drives", "judged", "false codes", "false causes")
     for one in study.learned:
         mine = [drive for drive in study.healthy if drive.vehicle == one.vehicle and not drive.error]

@@ -30,7 +30,7 @@ LONGEST_S, SHORTEST_S = 60.0, 6.0
 _UNKNOWN = ("unknown", "wrong_bus")
 
 
-class Told(NamedTuple):
+class Findings(NamedTuple):
     """Codes and causes of a run.
 
     Attributes:
@@ -172,17 +172,17 @@ def _judge(task: Task, judged: Judged) -> None:
         judged.points = _points(config, frames, *task.learned.truth)
         return
     if task.seed is None:
-        whole = told_of(config, frames)
+        whole = findings_of(config, frames)
         judged.codes = sorted(whole.codes)
         judged.causes = sorted(" and ".join(cause) for cause in whole.causes)
         return
     part = frames[: int(np.searchsorted(stamps, stamps[0] + round(LONGEST_S * 1e9)))]
-    healthy = told_of(config, part)
+    healthy = findings_of(config, part)
     sees = {fault: {one.component.name for one in some} for fault, some in parts.depends.items()}
     for number, (kind, make) in enumerate(KINDS.items()):
         fault = make(Drive(config, parts, part, np.random.default_rng([task.seed, number])))
         if fault is not None:
-            row, text = _of_fault(fault, told_of(config, fault.frames), healthy, sees)
+            row, text = _of_fault(fault, findings_of(config, fault.frames), healthy, sees)
             judged.faults.setdefault(kind, Row()).add(row)
             if not row.right or row.wrong or row.accused:
                 judged.lines.append((kind, fault.about, text))
@@ -202,7 +202,7 @@ def _points(config: Config, frames: Frames, t_ns: NDArray[np.int64], wrong: NDAr
     return Points(int(wrong.sum()), int((told & wrong).sum()), int((~wrong).sum()), int((told & ~wrong).sum()))
 
 
-def told_of(config: Config, frames: Frames) -> Told:
+def findings_of(config: Config, frames: Frames) -> Findings:
     """Return what is told of frames."""
     codes: dict[str, int] = {}
     causes: dict[tuple[str, ...], int] = {}
@@ -219,14 +219,14 @@ def told_of(config: Config, frames: Frames) -> Told:
         elif kind == "diagnosis":
             for cause in _proven(event["groups"]):
                 causes.setdefault(cause, t_ns)
-    return Told(codes, others, causes)
+    return Findings(codes, others, causes)
 
 
 def _proven(groups: Iterable[Mapping[str, Any]]) -> Iterable[tuple[str, ...]]:
     return (tuple(sorted(group["cause"])) for group in groups if group["cause"])
 
 
-def _of_fault(fault: Fault, told: Told, healthy: Told, sees: Mapping[str, set[str]]) -> tuple[Row, str]:
+def _of_fault(fault: Fault, told: Findings, healthy: Findings, sees: Mapping[str, set[str]]) -> tuple[Row, str]:
     """Return what came of a fault, and what was told of it, for people."""
 
     def new(now: Mapping[Name, int], before: Mapping[Name, int]) -> list[Name]:

@@ -55,7 +55,7 @@ def senders(*, cars: int, attacks: int, hours: float, files: Sequence[Path], see
             _attack(Bench(out, drives, seeing, seed), found, each)
         rows = _rows(found)
         if not json:
-            _tell(rows)
+            _print(rows)
         done = 0
         while judged and done < hours:
             out, hour = judged[done % len(judged)]
@@ -119,7 +119,7 @@ def _rows(found: dict[str, Found]) -> dict[str, Any]:
     return rows
 
 
-def _tell(rows: dict[str, Any]) -> None:
+def _print(rows: dict[str, Any]) -> None:
     for kind, row in rows.items():
         half, most = row["after_s"]
         print(
