@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway_bench.cli.study import headed, show, tabulate
+from gateway_bench.cli.study import beside, headed, show, tabulate
 from gateway_fdi.stopping import RULES
-from gateway_plants.steering.study import operations
+from gateway_plants.steering.study import operations, paper
 from gateway_plants.steering.study.estimators import Accuracy, accuracy
 from gateway_plants.steering.study.estimators import jobs as accuracy_jobs
 from gateway_plants.steering.study.symptoms import Combination
@@ -32,8 +32,8 @@ def _percent(value: float) -> str:
 def _estimators(rows: list[Accuracy]) -> list[Table]:
     return [
         tabulate(
-            f"Estimators at {key[0]:.0f} ms, mean voltages {key[1]}, nominal motor",
-            (row for row in rows if (row.period_ms, row.voltages) == key),
+            f"Estimators at {key[0]:.0f} ms, mean voltages {key[1]}, resistance {100 * key[2]:.0f} %",
+            (row for row in rows if (row.period_ms, row.voltages, row.resistance) == key),
             {
                 "estimator": lambda row: row.estimator,
                 "angle rms\n[deg]": lambda row: _number(row.angle_rms, ".2f"),
@@ -41,10 +41,11 @@ def _estimators(rows: list[Accuracy]) -> list[Table]:
                 "speed rms\n[rad/s]": lambda row: _number(row.speed_rms, ".2f"),
                 "moving": lambda row: _number(row.moving, ".2f"),
                 "worst drift in\n1 s of rest [deg]": lambda row: _number(row.standstill, ".1f"),
+                "drift in 50 ms\nabove 20 rad/s": lambda row: _number(row.fast, ".2f"),
                 "note:\nrms": lambda row: _number(row.note, ".4g"),
             },
         )
-        for key in dict.fromkeys((row.period_ms, row.voltages) for row in rows)
+        for key in dict.fromkeys((row.period_ms, row.voltages, row.resistance) for row in rows)
     ]
 
 
@@ -121,19 +122,16 @@ def _structure(rows: list[Combination]) -> Table:
 
 
 def _operations(rows: list[operations.Load]) -> Table:
-    def beside(ours: int, paper: int) -> str:
-        return str(ours) if paper < 0 else f"{ours} ({paper})"
-
     return tabulate(
-        "Table 1: operations of a step (the paper's in brackets)",
+        "Operations of a step",
         rows,
         {
             "method": lambda r: r.method,
-            "multiplications": lambda r: beside(r.multiplications, r.paper_multiplications),
+            "multiplications": lambda r: r.multiplications,
             "additions": lambda r: r.additions,
             "divisions": lambda r: r.divisions,
-            "trigonometric, logic": lambda r: beside(r.trigonometric_and_logic, r.paper_trigonometric_and_logic),
-            "integrators": lambda r: beside(r.integrators, r.paper_integrators),
+            "trigonometric, logic": lambda r: r.trigonometric_and_logic,
+            "integrators": lambda r: r.integrators,
         },
     )
 
@@ -152,16 +150,17 @@ def steering(*, runs: int, healthy: int, seed: int, rules: bool, json: bool, plo
             task = bar.add_task("rules", total=9)
             combinations = structure(runs, healthy, seed, lambda: bar.advance(task))
     loads = operations.table()
+    claims = paper.claims(estimators, loads)
     files: list[Path] = []
     if plot is not None:
         from gateway_plants.steering.study.figures import draw  # noqa: PLC0415 - slow to load
 
         files = draw(plot, scores, seed)
     document = {
-        "study": "steering", "seeds": runs, "first_seed": seed, "estimators": estimators, "rows": scores,
-        "healthy": health, "rules": combinations, "operations": loads,
+        "study": "steering", "seeds": runs, "first_seed": seed, "paper": claims, "estimators": estimators,
+        "rows": scores, "healthy": health, "rules": combinations, "operations": loads,
     }  # fmt: skip
-    tables = [*_estimators(estimators), *_scores(scores)]
+    tables = [beside(claims), *_estimators(estimators), *_scores(scores)]
     tables += [_health(health)] if health else []
     tables += [_structure(combinations)] if combinations else []
     note = (
