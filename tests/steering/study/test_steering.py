@@ -12,12 +12,10 @@ from amount import FULL, amount
 from once import once
 
 from gateway_fdi.jit import COMPILED
-from gateway_fdi.stopping import RULES, assured
+from gateway_fdi.stopping import assured
 from gateway_plants.steering.study import operations, paper
-from gateway_plants.steering.study.cases import DURATION
 from gateway_plants.steering.study.estimators import NAMES, NOTE, WARM, accuracy
 from gateway_plants.steering.study.figures import draw
-from gateway_plants.steering.study.symptoms import SYMPTOMS
 from gateway_plants.steering.study.table import (
     CASES,
     FIRST_SEED,
@@ -25,7 +23,6 @@ from gateway_plants.steering.study.table import (
     _mean,
     monte_carlo,
     plan,
-    structure,
 )
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not COMPILED, reason="hundreds of runs of 24 s")]
@@ -149,18 +146,6 @@ def test_a_counting_scalar_folds_what_is_known():
     assert dict(operations._COUNTS) == {"multiplications": 1, "additions": 1}
     with pytest.raises(TypeError, match="not a float"):
         float(x)
-
-
-@pytest.mark.full("6 s")
-def test_single_rules_are_compared():
-    rows = structure(1, 1, FIRST_SEED)
-    assert len(rows) == len(SYMPTOMS) * len(RULES) * 7
-    by = {(r.symptom, r.rule, r.fault): r for r in rows}
-    jump = by["EKF5 ab anchored, increment", "direct", "offset 0.35 rad"]
-    assert jump.detected == 1.0
-    assert jump.delay_ms < 20
-    assert by["EKF5 ab anchored, increment", "gma", "drift 0.2 rad/s"].detected < 1.0
-    assert jump.mtfa_s == 1 * (DURATION - 1)
 
 
 def test_what_data_assure():

@@ -9,13 +9,11 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway_bench.cli.study import beside, headed, show, tabulate
-from gateway_fdi.stopping import RULES
+from gateway_bench.cli.study import beside, show, tabulate
 from gateway_plants.steering.study import operations, paper
 from gateway_plants.steering.study.estimators import Accuracy, accuracy
 from gateway_plants.steering.study.estimators import jobs as accuracy_jobs
-from gateway_plants.steering.study.symptoms import Combination
-from gateway_plants.steering.study.table import CASES, Health, Score, monte_carlo, plan, structure
+from gateway_plants.steering.study.table import Health, Score, monte_carlo, plan
 
 #: Seeds of the estimators' table.
 SEEDS = 3
@@ -102,25 +100,6 @@ def _health(rows: list[Health]) -> Table:
     )
 
 
-def _structure(rows: list[Combination]) -> Table:
-    length = rows[0].mtfa_s
-    names = [case.name for case in CASES[:7]]
-    title = (
-        f"One filter, one distance, one rule: mean delay [ms] (detected in 2 s, %), "
-        f"no alarm in {length:.0f} healthy s, in-sample"
-    )
-    table = headed(title, ["symptom", "rule"], names)
-    by = {(r.symptom, r.rule, r.fault): r for r in rows}
-    for symptom in dict.fromkeys(r.symptom for r in rows):
-        for rule in RULES:
-            cells = []
-            for name in names:
-                r = by[symptom, rule, name]
-                cells.append(f"{_number(r.delay_ms)} ({100 * r.detected:.0f})")
-            table.add_row(symptom, rule, *cells, end_section=rule == RULES[-1])
-    return table
-
-
 def _operations(rows: list[operations.Load]) -> Table:
     return tabulate(
         "Operations of a step",
@@ -136,7 +115,7 @@ def _operations(rows: list[operations.Load]) -> Table:
     )
 
 
-def steering(*, runs: int, healthy: int, seed: int, rules: bool, json: bool, plot: Path | None) -> int:
+def steering(*, runs: int, healthy: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the steering monitor; returns the exit code."""
     todo = [job for job in plan(runs, healthy, seed) if runs or not job[0]]
     first = accuracy_jobs(SEEDS)
@@ -145,10 +124,6 @@ def steering(*, runs: int, healthy: int, seed: int, rules: bool, json: bool, plo
         estimators = accuracy(first, lambda: bar.advance(task))
         task = bar.add_task("runs", total=len(todo))
         scores, health = monte_carlo(todo, lambda: bar.advance(task))
-        combinations: list[Combination] = []
-        if rules and runs and healthy:
-            task = bar.add_task("rules", total=9)
-            combinations = structure(runs, healthy, seed, lambda: bar.advance(task))
     loads = operations.table()
     claims = paper.claims(estimators, loads)
     files: list[Path] = []
@@ -158,11 +133,10 @@ def steering(*, runs: int, healthy: int, seed: int, rules: bool, json: bool, plo
         files = draw(plot, scores, seed)
     document = {
         "study": "steering", "seeds": runs, "first_seed": seed, "paper": claims, "estimators": estimators,
-        "rows": scores, "healthy": health, "rules": combinations, "operations": loads,
+        "rows": scores, "healthy": health, "operations": loads,
     }  # fmt: skip
     tables = [beside(claims), *_estimators(estimators), *_scores(scores)]
     tables += [_health(health)] if health else []
-    tables += [_structure(combinations)] if combinations else []
     note = (
         f"seeds from {seed} on. Resistance unknown: -10 to +30 %, the winding's temperature not"
         f" used; known: within 5 %."

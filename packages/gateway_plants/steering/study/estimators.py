@@ -35,9 +35,6 @@ NAMES = (
     "EKF5 ab, anchored",
 )
 LO, REDUCED, EKF3, EKF4_DQ, EKF3_OWN, FF, FF_HELD, FF_PRINTED, EKF4_AB, EKF5_AB, ANCHORED = range(11)
-#: Further column behind the angles and the speeds: normalised innovation squared of EKF4 dq.
-NIS = 2 * len(NAMES)
-COLUMNS = NIS + 1
 
 #: Resistance of a winding that is 76 K warmer than the estimators take it for (copper: 0.393 %/K).
 WARM = 1.3
@@ -112,8 +109,8 @@ def _step_in_stator_frame(
 
 @kernel
 def _write(c: Constants, s: States, r: f8s) -> None:
-    """Write angles, speeds and the NIS of a sample, shape (2 n + 1,)."""
-    n = (len(r) - 1) // 2
+    """Write angles and speeds of a sample, shape (2 n,)."""
+    n = len(r) // 2
     r[LO], r[n + LO] = s.lo.theta, s.lo.omega
     r[REDUCED], r[n + REDUCED] = s.reduced.theta, s.reduced.omega
     r[EKF3], r[n + EKF3] = s.ekf3.theta, s.ekf3.x[2]
@@ -125,7 +122,6 @@ def _write(c: Constants, s: States, r: f8s) -> None:
     for j in range(3):
         r[FF + j], r[n + FF + j] = s.ff[j].theta + half, omega
         r[EKF4_AB + j], r[n + EKF4_AB + j] = s.ab[j].x[3], s.ab[j].x[2]
-    r[2 * n] = s.ekf4.nis
 
 
 @kernel
@@ -136,7 +132,7 @@ def _estimate(c: Constants, s: States, x: Any, z: float, mean_dq: bool, out: f8s
         x: samples, shape (n,) of SAMPLE.
         z: pole pairs.
         mean_dq: whether voltages are means in the controller's frame, else in the stator's.
-        out: angles, speeds and the NIS, shape (n, COLUMNS).
+        out: angles and speeds, shape (n, 22).
     """
     last = z * x[0].sensor
     for j in range(3):
@@ -187,14 +183,14 @@ def estimate(samples: NDArray[np.void], period: float, *, mean_dq: bool = False)
         mean_dq: voltages as means in the controller's frame, as the bus has them; else in the stator's.
 
     Returns:
-        shape (n, 23): angles [rad] and speeds [rad/s] in the order of :data:`NAMES`, then EKF4 dq's NIS.
+        shape (n, 22): angles [rad] and speeds [rad/s] in the order of :data:`NAMES`.
     """
     m = Motor()
     s = zeros(1, States)[0]
     s.ff["theta_e"] = m.pole_pairs * samples["sensor"][0]  # they begin at the sensor's angle
     x = zeros(len(samples), samples.dtype)
     x[:] = samples
-    out = np.zeros((len(samples), COLUMNS))
+    out = np.zeros((len(samples), 2 * len(NAMES)))
     _estimate(_constants(m, period), s, x, float(m.pole_pairs), mean_dq, out)
     return out
 
@@ -239,14 +235,14 @@ Job = tuple[int, float, bool, float]
 def _drift(error: Array, steps: int, within: NDArray[np.bool_]) -> Array:
     """Return what an error changes by in so many steps, of those spans in which all samples are ``within``."""
     all_of = np.convolve(~within, np.ones(steps + 1), "valid") == 0
-    return np.abs(error[steps:] - error[:-steps])[all_of]
+    return np.asarray(np.abs(error[steps:] - error[:-steps])[all_of])
 
 
 def _work(job: Job) -> list[tuple[Job, list[tuple[float, ...]]]]:
     seed, period, mean_dq, resistance = job
     x = nominal(seed, period, resistance)
     out = estimate(x, period, mean_dq=mean_dq)
-    rows = []
+    rows: list[tuple[float, ...]] = []
     moves = np.abs(x["omega"]) > 5.0
     n = len(NAMES)
     for j in range(n):
