@@ -29,7 +29,7 @@ _NEAR = 0.05
 
 def _worked_example() -> list[float]:
     """Return what KHR makes of samples 746 to 748 where the text has them: 2.84, 1.45, 1.80 V and 0 V."""
-    truth = SPAN * strokes.exponential(np.arange(SAMPLES) * 1e-3)
+    truth = SPAN * strokes.exponential(1e-3 * np.arange(SAMPLES, dtype=np.float64))
     y = np.column_stack([truth, truth, truth])
     y[746:749, 0], y[746:749, 1] = (2.84, 1.45, 1.80), 0.0
     found = follow("KHR", IDEAL, Run(truth, y, y != truth[:, None], -1, SAMPLES)).value[746:749]
@@ -75,18 +75,18 @@ def claims(scores: Sequence[Score]) -> list[Claim]:
         here = f"{grown[0]:+.0f} %; 10 bit {grown[1]:+.0f} %"
         found.append(claim(f"KHR, {text} 5 to 15 %", "no influence", here, abs(grown[1]) < 5, "it grows"))
     for figure, (case, told) in GAINS.items():
-        ours = gain(IDEAL, case), gain(TEN_BIT, case)
-        near = any(abs(each - told) < 5 for each in ours)
-        here = f"{ours[0]:+.0f} %; 10 bit {ours[1]:+.0f} %"
+        better = gain(IDEAL, case), gain(TEN_BIT, case)
+        near = any(abs(each - told) < 5 for each in better)
+        here = f"{better[0]:+.0f} %; 10 bit {better[1]:+.0f} %"
         why = "that voter's smoothing constant is not printed"
         found.append(claim(f"{figure}: KHR over predictive", f"+{told} %", here, near, why))
     dead = by[IDEAL.name, str(DEAD), "KHR"]
     here = f"mean {dead.iae:.0f}, median {dead.median:.3f}; {dead.latched} of {dead.runs} runs latch"
     why = "FT(k) is 0 once the output stands still"
     found.append(claim("Fig. 10: 0 V from 650 ms on", "0.067", here, abs(dead.iae - 0.067) < 0.02, why))
-    values = _worked_example()
-    here = ", ".join(f"{value:.2f}" for value in values)
-    near = bool(np.allclose(values, (2.11, 2.10, 2.09), atol=0.015))
+    quoted = _worked_example()
+    here = ", ".join(f"{value:.2f}" for value in quoted)
+    near = bool(np.allclose(quoted, (2.11, 2.10, 2.09), atol=0.015))
     found.append(claim("samples 746 to 748", "2.11, 2.10, 2.09 V", here, near))
     stands = _settled()
     why = "its gain does not grow from then on"
