@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -45,6 +45,39 @@ def tabulate(
     for row in rows:
         table.add_row(*(str(shown(row)) for shown in columns.values()))
     return table
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A statement of a paper that its reader looks for.
+
+    Attributes:
+        what: a figure, a table or a conclusion.
+        paper: what it has.
+        here: what comes out here.
+        verdict: "reproduced"; or that it is not, and why.
+    """
+
+    what: str
+    paper: str
+    here: str
+    verdict: str
+
+
+def claim(what: str, paper: str, here: str, holds: bool, why: str = "") -> Claim:
+    """Return a claim; ``why``: the reason that is told where it does not hold."""
+    return Claim(what, paper, here, "reproduced" if holds else f"not reproduced: {why}" if why else "not reproduced")
+
+
+def beside(claims: Iterable[Claim]) -> Table:
+    """Return the table of what a paper has, and what comes out here."""
+    columns: dict[str, Callable[[Claim], object]] = {
+        "what": lambda row: row.what,
+        "paper": lambda row: row.paper,
+        "here": lambda row: row.here,
+        "verdict": lambda row: row.verdict,
+    }
+    return tabulate("The paper, and here", claims, columns, texts=4)
 
 
 def show(

@@ -17,9 +17,6 @@ def evaluate_steering(
         int,
         typer.Option(min=0, help="First seed; no parameter was chosen with seeds from 100000 up."),
     ] = 100_000,
-    rules: Annotated[
-        bool, typer.Option("--rules", help="Also compare all filters, distances and stopping rules.")
-    ] = False,
     json: Json = False,
     plot: Annotated[
         Path | None, typer.Option(help="Draw Figs. 4 to 7 of the paper, and our own figures, into this folder.")

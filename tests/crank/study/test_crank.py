@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import paper_tables
 import pytest
 from amount import FULL
 from typer.testing import CliRunner
@@ -11,9 +12,9 @@ from gateway.cli import app
 from gateway_fdi.jit import COMPILED
 from gateway_plants.crank.study.cases import Train, with_fault
 from gateway_plants.crank.study.constant_speed import displacement
-from gateway_plants.crank.study.figures import ALPHA, BETA, GAIN, GAMMA, PULSES, fault_signal, paper_run
 from gateway_plants.crank.study.follow import follower
 from gateway_plants.crank.study.outside import _outcomes
+from gateway_plants.crank.study.paper import ALPHA, BETA, GAIN, GAMMA, PULSES, claims, fault_signal, paper_run
 from gateway_plants.crank.study.table import GRACE, judge, monte_carlo
 from gateway_plants.crank.wheel import Wheel
 
@@ -26,6 +27,10 @@ SHAPES = {
     2: [1, -0.6, -1.24, 0.504, 0.2016],
     3: [1, -0.6, -0.24, -1.096, 0.5616],
 }
+
+
+def test_the_table_of_the_paper_is_the_page_s():
+    paper_tables.check("crank/paper.txt", "gateway evaluate crank", claims())
 
 
 @pytest.mark.parametrize("sign", [1, -1])

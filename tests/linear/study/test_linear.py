@@ -7,13 +7,14 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
+import paper_tables
 import pytest
 from amount import FULL, amount
 from scipy.linalg import expm
 
 from gateway_fdi.jit import COMPILED
 from gateway_plants.linear.ecu.params import LinearFault
-from gateway_plants.linear.study import example
+from gateway_plants.linear.study import example, paper
 from gateway_plants.linear.study.bank import FEEDBACK, drive, quiet, run
 from gateway_plants.linear.study.continuous import flags, observe, spans
 from gateway_plants.linear.study.figures import draw
@@ -61,6 +62,17 @@ def test_the_note_s_table_of_flags(case):
     sensors = [int(part[1]) - 1 for part in case if part[0] == "s"]
     for j in range(3):
         assert spans(found.sensors[:, j]) == (r_s if j in sensors else [])
+
+
+def test_the_table_of_the_paper_is_the_page_s():
+    paper_tables.check("linear/paper.txt", "gateway evaluate linear", paper.claims(paper.figures()))
+
+
+def test_plants_that_are_off_keep_their_structure():
+    found = paper.off(example.A, 0.05, np.random.default_rng(1))
+    exact = np.array(example.A)
+    assert ((found == exact) == np.isin(exact, (0.0, 1.0))).all()
+    assert np.abs(found / np.where(exact == 0.0, 1.0, exact)).max() < 1.05
 
 
 @pytest.mark.parametrize("gains", [np.round(np.array(example.GAINS), 3)], ids=["3 decimals"])

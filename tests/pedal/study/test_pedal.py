@@ -6,6 +6,7 @@ Seeds from 100000 on: no parameter was chosen on them.
 import json
 
 import numpy as np
+import paper_tables
 import pytest
 from amount import FULL, amount
 from once import once
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 
 from gateway.cli import app
 from gateway_plants.pedal.arrays import Voted
+from gateway_plants.pedal.study import paper
 from gateway_plants.pedal.study.cases import IDEAL, NOISY, SPAN, TEN_BIT, UNCLIPPED, Case, make, oracle
 from gateway_plants.pedal.study.follow import VOTERS, follow
 from gateway_plants.pedal.study.outside import faults as outside
@@ -48,7 +50,7 @@ def errors(voter, case, environment, seeds):
 def scores(tmp_path_factory):
     """Score by (environment, case, voter): all faults and both sweeps, as many runs of each."""
     print(f"seeds {FIRST_SEED} to {FIRST_SEED + RUNS - 1}")
-    cases = tuple(dict.fromkeys((*FAULTS, *RATES[::5], *VALUES[::5])))
+    cases = tuple(dict.fromkeys((*FAULTS, *RATES[::5], *VALUES[::5], *paper.CASES)))
     work = jobs(cases, ENVIRONMENTS, "exponential", RUNS, FIRST_SEED)
     work += jobs((T1, T2), ENVIRONMENTS, "ramp", RUNS, FIRST_SEED)
     rows = once(tmp_path_factory, "voters", lambda: monte_carlo(work))
@@ -94,6 +96,11 @@ def test_the_papers_other_numbers_do_not_come_out():
     assert (errors("median", T1, UNCLIPPED, range(300)) < 8.524).mean() > 0.98
     assert (errors("KHR", T2, TEN_BIT, range(300)) > 1.226).all()
     assert (errors("KHR", T2, IDEAL, range(300)) < 1.226).mean() > 0.95
+
+
+@pytest.mark.skipif(FULL, reason="the page has 100 runs")
+def test_the_table_of_the_paper_is_the_page_s(scores):
+    paper_tables.check("pedal/paper.txt", "gateway evaluate pedal --seeds 100", paper.claims(list(scores.values())))
 
 
 # What our voter promises (environment, case -> bounds), 300 runs each, or the first 100 of them

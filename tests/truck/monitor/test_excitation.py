@@ -13,7 +13,6 @@ from gateway_plants.truck.ecu import plant as truck_plant
 from gateway_plants.truck.ecu.drive import drive
 from gateway_plants.truck.ecu.params import TruckFault
 from gateway_plants.truck.study.conditions import CONDITIONS, compare
-from gateway_plants.truck.study.figures import CHARGE, NOISE
 from gateway_plants.truck.study.follow import inputs
 from gateway_plants.truck.study.paper import RESIDUALS, Paper, follow
 from gateway_plants.truck.study.table import TRUCK
@@ -77,9 +76,8 @@ def test_the_internal_form_of_the_voltage_sensors_fault():
 @pytest.mark.long
 def test_with_noise_only_41_stays_above_its_threshold():
     """Noise five times, J_1 = 6000 As (4000 is less than this noise): share of the drive with T_norm > 1."""
-    noisy = TRUCK.model_copy(update={"noise_factor": NOISE})
     for seed in range(9000, 9000 + amount(20, 2)):
-        found = compare(noisy, SENSOR, seed=seed, healthy=seed + 500, first_charge=CHARGE)
+        found = compare(SENSOR, seed)
         on = dict(zip(CONDITIONS, found.on, strict=True))
         print(seed, on)
         assert on["(41)"] >= 0.95

@@ -7,12 +7,14 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import paper_tables
 import pytest
 from amount import amount
 from truck_runs import NAMES, TRUCK, driven, run
 from typer.testing import CliRunner
 
 from gateway.cli import app
+from gateway_bench.cli.study import Claim
 from gateway_fdi.jit import COMPILED
 from gateway_plants.truck.ecu.params import TruckFault
 from gateway_plants.truck.monitor.faults import faults_of
@@ -85,6 +87,11 @@ def test_the_command(tmp_path, monkeypatch):
     assert {(r["system"], r["right"]) for r in told["firing"]} == {(name, 1) for name in systems}
     robust = [r for r in told["disturbed"] if r["system"] == "RDS"]
     assert len(robust) == 2 * 6
+    mine = [Claim(**each) for each in told["paper"] if not each["what"].startswith("VI-E")]
+    made = paper_tables.text("gateway evaluate truck", mine)
+    page = (paper_tables.DOCS / "truck/paper.txt").read_text()
+    assert [line for line in made.splitlines() if line not in page] == []
+    assert len(mine) == 7
     assert all(r["right"] == r["runs"] and r["wrong"] == 0 for r in robust)
     integral = [
         r

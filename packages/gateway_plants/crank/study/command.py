@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway_bench.cli.study import headed, show
-from gateway_plants.crank.study import noise
+from gateway_bench.cli.study import beside, headed, show
+from gateway_plants.crank.study import noise, paper
 from gateway_plants.crank.study import outside as beyond
 from gateway_plants.crank.study import pairs as wrong
 from gateway_plants.crank.study.table import (
@@ -144,11 +144,13 @@ def crank(*, runs: int, pulses: int, outside: int, pairs: int, seed: int, json: 
         from gateway_plants.crank.study.figures import draw  # noqa: PLC0415 - slow to load
 
         files = draw(plot, seed)
+    claims = paper.claims()
     document = {
-        "seed": seed, "faults": [as_dict(score) for score in scores], "healthy": [as_dict(row) for row in alarms],
+        "paper": claims, "seed": seed,
+        "faults": [as_dict(score) for score in scores], "healthy": [as_dict(row) for row in alarms],
         "outside": rows, "noise": disturbed, "pairs": matrix,
     }  # fmt: skip
-    tables = _scores(scores)
+    tables = [beside(claims), *_scores(scores)]
     tables += [_alarm_table(alarms)] if alarms else []
     tables += [_outside_table(rows)] if rows else []
     tables += [_noise_table(disturbed)] if disturbed else []

@@ -6,63 +6,9 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from numpy.typing import NDArray
 
+from gateway_plants.crank.study.paper import ALPHA, BETA, PULSES, deviation, fault_signal, paper_run
 from gateway_replay.drawing import save
-
-#: Section 4 of the paper: a 30-2 wheel, D = 0.6, gamma = 0.16; alpha and beta are not printed and are chosen so that
-#: the threshold 1 gives the durations it states.
-PULSES, GAIN, GAMMA, ALPHA, BETA = 28, 0.6, 0.16, 2.0, 6.0
-TURNS = 4
-
-
-def fault_signal(count: int, length: int, turn: int, pulses: int = PULSES) -> NDArray[np.float64]:
-    """Return f / delta by (4), (5): the gap displaced by ``count`` pulses (added: below zero), once.
-
-    Args:
-        count: pulses missed (+) or added (-).
-        length: samples.
-        turn: the gap concerned is that at ``turn * pulses``.
-        pulses: of one revolution.
-    """
-    f = np.zeros(length)
-    n = turn * pulses
-    if count > 0:
-        steps = ((n - count - 1, 1), (n - count, -1), (n - 1, -1), (n, 1))
-    else:
-        steps = ((n - 1, -1), (n, 1), (n - count - 1, 1), (n - count, -1))
-    for k, sign in steps:
-        if 0 <= k < length:
-            f[k] += sign
-    return f
-
-
-def paper_run(
-    count: int, seed: int, *, noise: float = GAMMA**0.5, turns: int = TURNS
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return pulse times y and residuals r of the paper's model and observer, alpha and delta as above.
-
-    Args:
-        count: pulses missed (+) or added (-) before the second gap, 0 for none; without correction every
-            later gap is displaced too.
-        seed: of the noise.
-        noise: its standard deviation.
-        turns: length in revolutions.
-    """
-    length, delta = turns * PULSES, BETA - ALPHA
-    k = np.arange(length)
-    u = np.where(k % PULSES == PULSES - 1, delta, 0.0) - np.where((k % PULSES == 0) & (k > 0), delta, 0.0)
-    f = np.zeros(length)
-    for turn in range(2, turns + 1) if count else ():
-        f += delta * fault_signal(count, length, turn)
-    x = ALPHA + np.concatenate([[0.0], np.cumsum(u + f)[:-1]])
-    y = x + np.random.default_rng(seed).normal(0, noise, length)
-    residuals = np.zeros(length)
-    estimate = ALPHA
-    for i in range(length):
-        residuals[i] = y[i] - estimate
-        estimate += u[i] + GAIN * residuals[i]
-    return y, residuals
 
 
 def _fig2(folder: Path) -> Path:
@@ -89,7 +35,7 @@ def _fig345(folder: Path, number: int, count: int, title: str, seed: int) -> Pat
     axes[0].plot(y, "k-", linewidth=1)
     axes[0].set_ylabel("pulse time PT")
     axes[1].plot(r, "k-", linewidth=1)
-    sigma = (2 * GAMMA / (2 - GAIN)) ** 0.5
+    sigma = deviation()
     for level, style, text in (
         (1.0, ":", "1.0, as printed"),
         ((BETA - ALPHA) / 2, "--", r"$\delta/2$, repaired"),

@@ -2,42 +2,15 @@
 
 from __future__ import annotations
 
-from math import isinf
 from pathlib import Path
 
 from rich.table import Table
 
 from gateway.cli.present import say
-from gateway_bench.cli.study import headed, show, tabulate
-from gateway_plants.linear.study import example
+from gateway_bench.cli.study import beside, show, tabulate
+from gateway_plants.linear.study import example, paper
 from gateway_plants.linear.study.bank import Quiet, quiet
-from gateway_plants.linear.study.continuous import observe, spans
 from gateway_plants.linear.study.holdout import Row, holdout
-
-
-def _span(found: list[tuple[float, float]]) -> str:
-    return " ".join(f"[{on:g}, {'end' if isinf(off) else f'{off:g}'})" for on, off in found) or "-"
-
-
-def _paper() -> list[dict[str, str]]:
-    rows = []
-    for name, parts in example.FIGURES.items():
-        told = observe(*example.held(example.case(*parts)))
-        row = {"figure": name, "case": " ".join(parts)}
-        for i in range(2):
-            row[f"r_a{i + 1}"] = _span(spans(told.actuators[:, i]))
-            row[f"r_a{i + 1} as printed"] = _span(spans(told.printed[:, i]))
-        for i in range(3):
-            row[f"r_s{i + 1}"] = _span(spans(told.sensors[:, i]))
-        rows.append(row)
-    return rows
-
-
-def _figures_table(rows: list[dict[str, str]]) -> Table:
-    table = headed("The paper's Figs. 3 to 11: flags by (15) and (16), continuous observers [s]", rows[0])
-    for row in rows:
-        table.add_row(*row.values())
-    return table
 
 
 def _holdout_table(rows: list[Row]) -> Table:
@@ -75,7 +48,8 @@ def _quiet_table(rows: list[Quiet]) -> Table:
 
 def linear(*, cases: int, hours: float, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the bank of PI observers; returns the exit code."""
-    paper = _paper()
+    figures = paper.figures()
+    claims = paper.claims(figures)
     if cases:
         say(f"{cases} random cases, seeds from {seed} on ...")
     rows = holdout(cases, seed) if cases else []
@@ -86,9 +60,10 @@ def linear(*, cases: int, hours: float, seed: int, json: bool, plot: Path | None
 
         files = draw(plot, rows)
     document = {
-        "study": "pi-bank", "seeds": cases, "first_seed": seed, "figures": paper, "rows": rows, "healthy": flown,
+        "study": "pi-bank", "seeds": cases, "first_seed": seed, "paper": claims, "figures": figures,
+        "rows": rows, "healthy": flown,
     }  # fmt: skip
-    tables = [_figures_table(paper)]
+    tables = [beside(claims)]
     tables += [_holdout_table(rows)] if rows else []
     tables += [_quiet_table(flown)] if flown else []
     note = (

@@ -33,14 +33,19 @@ class Told:
     sensors: Flags
 
 
-def system(gains: ArrayLike = example.GAINS) -> tuple[Array, Array]:
-    """Return (A, B) of plant and three observers together: states x, then x_k, omega_k; inputs u, a, s."""
+def system(gains: ArrayLike, plant: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
+    """Return (A, B) of plant and three observers together: states x, then x_k, omega_k; inputs u, a, s.
+
+    Args:
+        gains: of the observers.
+        plant: A and B as they are; the observers have the paper's.
+    """
     a, b, c = (np.array(x) for x in (example.A, example.B, example.C))
     n, m, p = 4, 2, 3
     whole = np.zeros((n + p * (n + m), n + p * (n + m)))
     inputs = np.zeros((len(whole), 2 * m + p))
-    whole[:n, :n] = a
-    inputs[:n, :m] = inputs[:n, m : 2 * m] = b
+    whole[:n, :n] = plant[0]
+    inputs[:n, :m] = inputs[:n, m : 2 * m] = plant[1]
     for k, gain in enumerate(np.array(gains)):
         at, rows = n + k * (n + m), [j for j in range(p) if j != k]
         left = c[rows]
@@ -73,15 +78,21 @@ def flags(omega: Array, e: Array) -> tuple[Flags, Flags, Flags]:
     return r_a, printed, r_s
 
 
-def observe(a: Array, s: Array, gains: ArrayLike = example.GAINS) -> Told:
+def observe(
+    a: Array,
+    s: Array,
+    gains: ArrayLike = example.GAINS,
+    plant: tuple[ArrayLike, ArrayLike] = (example.A, example.B),
+) -> Told:
     """Simulate from state 0 with faults that are held over a sample.
 
     Args:
         a: of the actuators, shape (n, 2).
         s: of the sensors, shape (n, 3).
         gains: of the observers.
+        plant: A and B as they are; the observers have the paper's.
     """
-    whole, inputs = system(gains)
+    whole, inputs = system(gains, plant)
     size, width = len(whole), inputs.shape[1]
     block = np.zeros((size + width, size + width))
     block[:size, :size], block[:size, size:] = whole, inputs

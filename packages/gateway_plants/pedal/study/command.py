@@ -9,7 +9,8 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway_bench.cli.study import headed, show, tabulate
+from gateway_bench.cli.study import Claim, beside, headed, show, tabulate
+from gateway_plants.pedal.study import paper
 from gateway_plants.pedal.study.cases import STROKES
 from gateway_plants.pedal.study.follow import VOTERS
 from gateway_plants.pedal.study.outside.roads import HOURS, Named, drives, jobs, names
@@ -117,8 +118,11 @@ def pedal(*, runs: int, seed: int, roads: int, hours: float, json: bool, plot: P
         from gateway_plants.pedal.study.figures import draw  # noqa: PLC0415 - slow to load
 
         files = draw(plot, scores, seed)
-    document = {"study": "voters", "seeds": runs, "first_seed": seed, "rows": scores, "roads": named}
-    tables, notes = _tables(scores), []
+    claims: list[Claim] = paper.claims(scores) if scores else []
+    document = {
+        "study": "voters", "seeds": runs, "first_seed": seed, "paper": claims, "rows": scores, "roads": named,
+    }  # fmt: skip
+    tables, notes = [*([beside(claims)] if claims else []), *_tables(scores)], []
     if named:
         tables.append(_driven(named))
         last = seed + max(roads, round(hours / HOURS)) - 1

@@ -9,13 +9,11 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway_bench.cli.study import headed, show, tabulate
-from gateway_fdi.stopping import RULES
-from gateway_plants.steering.study import operations
+from gateway_bench.cli.study import beside, show, tabulate
+from gateway_plants.steering.study import operations, paper
 from gateway_plants.steering.study.estimators import Accuracy, accuracy
 from gateway_plants.steering.study.estimators import jobs as accuracy_jobs
-from gateway_plants.steering.study.symptoms import Combination
-from gateway_plants.steering.study.table import CASES, Health, Score, monte_carlo, plan, structure
+from gateway_plants.steering.study.table import Health, Score, monte_carlo, plan
 
 #: Seeds of the estimators' table.
 SEEDS = 3
@@ -32,8 +30,8 @@ def _percent(value: float) -> str:
 def _estimators(rows: list[Accuracy]) -> list[Table]:
     return [
         tabulate(
-            f"Estimators at {key[0]:.0f} ms, mean voltages {key[1]}, nominal motor",
-            (row for row in rows if (row.period_ms, row.voltages) == key),
+            f"Estimators at {key[0]:.0f} ms, mean voltages {key[1]}, resistance {100 * key[2]:.0f} %",
+            (row for row in rows if (row.period_ms, row.voltages, row.resistance) == key),
             {
                 "estimator": lambda row: row.estimator,
                 "angle rms\n[deg]": lambda row: _number(row.angle_rms, ".2f"),
@@ -41,10 +39,11 @@ def _estimators(rows: list[Accuracy]) -> list[Table]:
                 "speed rms\n[rad/s]": lambda row: _number(row.speed_rms, ".2f"),
                 "moving": lambda row: _number(row.moving, ".2f"),
                 "worst drift in\n1 s of rest [deg]": lambda row: _number(row.standstill, ".1f"),
+                "drift in 50 ms\nabove 20 rad/s": lambda row: _number(row.fast, ".2f"),
                 "note:\nrms": lambda row: _number(row.note, ".4g"),
             },
         )
-        for key in dict.fromkeys((row.period_ms, row.voltages) for row in rows)
+        for key in dict.fromkeys((row.period_ms, row.voltages, row.resistance) for row in rows)
     ]
 
 
@@ -101,44 +100,22 @@ def _health(rows: list[Health]) -> Table:
     )
 
 
-def _structure(rows: list[Combination]) -> Table:
-    length = rows[0].mtfa_s
-    names = [case.name for case in CASES[:7]]
-    title = (
-        f"One filter, one distance, one rule: mean delay [ms] (detected in 2 s, %), "
-        f"no alarm in {length:.0f} healthy s, in-sample"
-    )
-    table = headed(title, ["symptom", "rule"], names)
-    by = {(r.symptom, r.rule, r.fault): r for r in rows}
-    for symptom in dict.fromkeys(r.symptom for r in rows):
-        for rule in RULES:
-            cells = []
-            for name in names:
-                r = by[symptom, rule, name]
-                cells.append(f"{_number(r.delay_ms)} ({100 * r.detected:.0f})")
-            table.add_row(symptom, rule, *cells, end_section=rule == RULES[-1])
-    return table
-
-
 def _operations(rows: list[operations.Load]) -> Table:
-    def beside(ours: int, paper: int) -> str:
-        return str(ours) if paper < 0 else f"{ours} ({paper})"
-
     return tabulate(
-        "Table 1: operations of a step (the paper's in brackets)",
+        "Operations of a step",
         rows,
         {
             "method": lambda r: r.method,
-            "multiplications": lambda r: beside(r.multiplications, r.paper_multiplications),
+            "multiplications": lambda r: r.multiplications,
             "additions": lambda r: r.additions,
             "divisions": lambda r: r.divisions,
-            "trigonometric, logic": lambda r: beside(r.trigonometric_and_logic, r.paper_trigonometric_and_logic),
-            "integrators": lambda r: beside(r.integrators, r.paper_integrators),
+            "trigonometric, logic": lambda r: r.trigonometric_and_logic,
+            "integrators": lambda r: r.integrators,
         },
     )
 
 
-def steering(*, runs: int, healthy: int, seed: int, rules: bool, json: bool, plot: Path | None) -> int:
+def steering(*, runs: int, healthy: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the steering monitor; returns the exit code."""
     todo = [job for job in plan(runs, healthy, seed) if runs or not job[0]]
     first = accuracy_jobs(SEEDS)
@@ -147,23 +124,19 @@ def steering(*, runs: int, healthy: int, seed: int, rules: bool, json: bool, plo
         estimators = accuracy(first, lambda: bar.advance(task))
         task = bar.add_task("runs", total=len(todo))
         scores, health = monte_carlo(todo, lambda: bar.advance(task))
-        combinations: list[Combination] = []
-        if rules and runs and healthy:
-            task = bar.add_task("rules", total=9)
-            combinations = structure(runs, healthy, seed, lambda: bar.advance(task))
     loads = operations.table()
+    claims = paper.claims(estimators, loads)
     files: list[Path] = []
     if plot is not None:
         from gateway_plants.steering.study.figures import draw  # noqa: PLC0415 - slow to load
 
         files = draw(plot, scores, seed)
     document = {
-        "study": "steering", "seeds": runs, "first_seed": seed, "estimators": estimators, "rows": scores,
-        "healthy": health, "rules": combinations, "operations": loads,
+        "study": "steering", "seeds": runs, "first_seed": seed, "paper": claims, "estimators": estimators,
+        "rows": scores, "healthy": health, "operations": loads,
     }  # fmt: skip
-    tables = [*_estimators(estimators), *_scores(scores)]
+    tables = [beside(claims), *_estimators(estimators), *_scores(scores)]
     tables += [_health(health)] if health else []
-    tables += [_structure(combinations)] if combinations else []
     note = (
         f"seeds from {seed} on. Resistance unknown: -10 to +30 %, the winding's temperature not"
         f" used; known: within 5 %."

@@ -183,10 +183,7 @@ def _value_or_same(x: Any) -> Any:
 
 @dataclass(frozen=True)
 class Load:
-    """Operations of a step; ``paper_*``: Table 1, -1 where the paper has no such method.
-
-    ``integrators``: values that each step carries to the next, symmetric covariances once.
-    """
+    """Operations of a step; ``integrators``: values that it carries to the next, symmetric covariances once."""
 
     method: str
     multiplications: int
@@ -194,9 +191,6 @@ class Load:
     divisions: int
     trigonometric_and_logic: int
     integrators: int
-    paper_multiplications: int
-    paper_trigonometric_and_logic: int
-    paper_integrators: int
 
 
 #: Integrators: states, covariances, angle.
@@ -209,12 +203,6 @@ _INTEGRATORS = {
     "EKF4 ab": 4 + 10,
     "EKF5 ab": 5 + 15,
 }
-PAPER = {
-    "Luenberger": (19, 4, 3),
-    "reduced Luenberger": (24, 4, 2),
-    "EKF3 dq": (115, 4, 13),
-    "feedforward": (7, 6, 2),
-}
 
 
 def table() -> list[Load]:
@@ -226,21 +214,17 @@ def table() -> list[Load]:
         text=True,
         check=True,
     )
-    rows = []
-    for method, counts in json.loads(ended.stdout).items():
-        paper = PAPER.get(method, (-1, -1, -1))
-        rows.append(
-            Load(
-                method,
-                counts.get("multiplications", 0),
-                counts.get("additions", 0),
-                counts.get("divisions", 0),
-                counts.get("trigonometric", 0) + counts.get("logic", 0),
-                _INTEGRATORS[method],
-                *paper,
-            )
+    return [
+        Load(
+            method,
+            counts.get("multiplications", 0),
+            counts.get("additions", 0),
+            counts.get("divisions", 0),
+            counts.get("trigonometric", 0) + counts.get("logic", 0),
+            _INTEGRATORS[method],
         )
-    return rows
+        for method, counts in json.loads(ended.stdout).items()
+    ]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Monte Carlo of a steering's faults: detection, isolation, false alarms; and the paper's structure beside it."""
+"""Monte Carlo of a steering's faults: detection, isolation, false alarms."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway_bench.study_pool import Progress, run
-from gateway_fdi.stopping import RULES, assured
+from gateway_fdi.stopping import assured
 from gateway_plants.steering.ecu.faults import Kind, SteeringFault
 from gateway_plants.steering.monitor.faults import (
     ANGLES,
@@ -30,7 +30,6 @@ from gateway_plants.steering.monitor.faults import (
 from gateway_plants.steering.monitor.params import Params
 from gateway_plants.steering.study.cases import DURATION, WARM_UP, Spread
 from gateway_plants.steering.study.follow import Followed, Run, follow, make
-from gateway_plants.steering.study.symptoms import SYMPTOMS, Combination, levels, symptoms
 
 #: Detection counts within this time of the onset [s]; so does the note's.
 WITHIN = 2.0
@@ -282,70 +281,3 @@ def monte_carlo(jobs: list[Job], progress: Progress = lambda: None) -> tuple[lis
             )
         )
     return scores, health
-
-
-#: A job of :func:`structure`: runs, each symptom's largest healthy value, each rule's largest healthy level; empty
-#: while they are looked for.
-RuleJob = tuple[Job, tuple[float, ...], tuple[tuple[float, ...], ...]]
-
-
-def _rules_work(rule_job: RuleJob) -> list[NDArray[np.float64]]:
-    """Return for each run the largest values, the largest levels, or the delays behind the onset [ms]."""
-    (name, temperature, period, first, count), scale, limits = rule_job
-    case = next((c for c in CASES if c.name == name), None)
-    params = _params(temperature, period)
-    warm = round(WARM_UP / period)
-    found = []
-    for seed in range(first, first + count):
-        made, onset = _one(case, temperature, period, seed)
-        values = symptoms(made, follow(made, params), period)
-        if not scale:
-            found.append(np.abs(values[warm:]).max(axis=0))
-            continue
-        every = np.stack([levels(values[:, j], scale[j]) for j in range(len(SYMPTOMS))], axis=1)
-        if not limits:
-            found.append(every[warm:].max(axis=0))
-            continue
-        over = every[int(onset / period) :] > np.array(limits)
-        delay = 1e3 * period * (over.argmax(axis=0) + 1)
-        found.append(np.where(over.any(axis=0), delay, np.inf))
-    return found
-
-
-def structure(runs: int, healthy: int, seed: int, progress: Progress = lambda: None) -> list[Combination]:
-    """Return the table of all symptoms and rules for the faults of the motor's angle.
-
-    Thresholds are the largest levels of the healthy runs: in-sample, as in the research note.
-    """
-
-    def jobs(name: str, count: int) -> list[Job]:
-        last = seed + count
-        return [(name, UNKNOWN, 1e-3, first, min(PIECE, last - first)) for first in range(seed, last, PIECE)]
-
-    clean = jobs("", healthy)
-    _rules_work((("", UNKNOWN, 1e-3, seed, 1), (), ()))  # fills the kernels' cache
-    scale = tuple(np.max(run(_rules_work, [(job, (), ()) for job in clean]), axis=0).tolist())
-    progress()
-    largest = np.max(run(_rules_work, [(job, scale, ()) for job in clean]), axis=0)
-    limits = tuple(map(tuple, largest.tolist()))
-    progress()
-    found = []
-    for case in CASES[:7]:
-        delays = np.array(run(_rules_work, [(job, scale, limits) for job in jobs(case.name, runs)]))
-        progress()
-        good = delays <= 1e3 * WITHIN
-        for j, symptom in enumerate(SYMPTOMS):
-            for r, rule in enumerate(RULES):
-                hit = delays[:, j, r][good[:, j, r]]
-                found.append(
-                    Combination(
-                        symptom=symptom,
-                        rule=rule,
-                        fault=case.name,
-                        runs=runs,
-                        detected=len(hit) / runs,
-                        delay_ms=float(hit.mean()) if len(hit) else float("nan"),
-                        mtfa_s=healthy * (DURATION - WARM_UP),
-                    )
-                )
-    return found

@@ -11,15 +11,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from gateway_bench.cli.study import headed, show
-from gateway_plants.truck.ecu.params import TruckFault
-from gateway_plants.truck.study.conditions import CHARGE, CONDITIONS, NOISE, Compared, compare
+from gateway_bench.cli.study import beside, headed, show
+from gateway_plants.truck.study.claims import claims
+from gateway_plants.truck.study.conditions import EFFICIENCY, SENSOR, compare
 from gateway_plants.truck.study.table import (
     DISTURBANCES,
     FAULTS,
     ONSETS,
     SYSTEMS,
-    TRUCK,
     Row,
     disturbed,
     firing,
@@ -68,20 +67,6 @@ def _disturbed_table(rows: list[Row], title: str) -> Table:
     return table
 
 
-def _conditions_table(compared: list[Compared]) -> Table:
-    title = f"T4 of ICDS, voltage sensor 20 V off, noise {NOISE:g} times, J_1 {CHARGE:g} As"
-    names = ("largest T_norm", "share above 1 behind the first alarm", "decrease / increase")
-    table = headed(title, ["condition"], [f"{name}, each seed" for name in names])
-    for k, name in enumerate(CONDITIONS):
-        table.add_row(
-            name,
-            " ".join(f"{c.norm[:, k].max():.1f}" for c in compared),
-            " ".join(f"{c.on[k]:.2f}" for c in compared),
-            " ".join(f"{c.down[k]:.2f}" for c in compared),
-        )
-    return table
-
-
 def _finite(row: Row) -> dict[str, object]:
     return {key: None if value == inf else value for key, value in asdict(row).items()}
 
@@ -99,27 +84,23 @@ def truck(*, seeds: int, seed: int, json: bool, plot: Path | None) -> int:
             each = bar.add_task(what, total=len(names) * (1 + len(FAULTS)))
             step = partial(bar.advance, each)
             told.append(disturbed(names, seeds, seed, relearn=relearn, progress=step))
-    noisy = TRUCK.model_copy(update={"noise_factor": NOISE})
-    fault = TruckFault(kind="machine_voltage_sensor")
-    compared = [
-        compare(noisy, fault, seed=k, healthy=k + 10_000, first_charge=CHARGE) for k in range(seed, seed + seeds)
-    ]
+    sensor, efficiency = (compare(fault, seed) for fault in (SENSOR, EFFICIENCY))
+    found = claims(sensor, efficiency, fired, seed)
     files: list[Path] = []
     if plot is not None:
         from gateway_plants.truck.study.figures import draw  # noqa: PLC0415 - slow to load
 
-        files = draw(plot, seed)
+        files = draw(plot, sensor, efficiency, seed)
     document = {
-        "study": "hybrid", "seeds": seeds, "first_seed": seed,
+        "study": "hybrid", "seeds": seeds, "first_seed": seed, "paper": found,
         "firing": [_finite(row) for row in fired],
         "disturbed": [_finite(row) for rows in told for row in rows],
-        "conditions": [{"condition": name, "on": [c.on[k] for c in compared]} for k, name in enumerate(CONDITIONS)],
     }  # fmt: skip
     tables = [
+        beside(found),
         _firing_table(fired),
         _disturbed_table(told[0], "Trucks that differ from the model; onset 400 s"),
         _disturbed_table(told[1], "The same, thresholds learned from a healthy drive of that truck"),
-        _conditions_table(compared),
     ]
     note = (
         "isolated: the fault's own DTC, no other fault's, nothing before the onset; ICDS and MCDS:"

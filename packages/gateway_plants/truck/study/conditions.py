@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gateway_fdi import cusum
 from gateway_fdi.detectors import StoppingRule
-from gateway_plants.truck.ecu.params import TruckFault, TruckParams
+from gateway_plants.truck.ecu.params import TruckFault
 from gateway_plants.truck.monitor.params import Params
 from gateway_plants.truck.study.follow import inputs
 from gateway_plants.truck.study.paper import (
@@ -22,12 +22,16 @@ from gateway_plants.truck.study.paper import (
     calibrated,
     follow,
 )
+from gateway_plants.truck.study.table import TRUCK
 
 Array = NDArray[np.float64]
 
 CONDITIONS = ("(39)", "(41)", "(45)", "always")
 #: Where residuals are noisy enough for the conditions to matter: noise, and J_1 [As] that stands out of it.
 NOISE, CHARGE = 5.0, 6000.0
+#: Faults of Figs. 5 and 9, and of Fig. 6, which begins with its two windows.
+SENSOR = TruckFault(kind="machine_voltage_sensor", from_s=0.0)
+EFFICIENCY = TruckFault(kind="machine_efficiency", from_s=440.0)
 #: Place of T4 of ICDS among the residuals.
 _T4 = RESIDUALS.index("T4_ICDS")
 #: T is not limited here, as in the paper.
@@ -73,20 +77,16 @@ def _always(trace: Trace, nu: float) -> Array:
     return np.concatenate([[0.0], sums])[np.cumsum(taken)]
 
 
-def compare(
-    truck: TruckParams, fault: TruckFault, *, seed: int, healthy: int, first_charge: float = 4000.0
-) -> Compared:
-    """Compare the conditions on FTP75.
+def compare(fault: TruckFault, seed: int) -> Compared:
+    """Compare the conditions on FTP75, with noise that makes them matter.
 
     Args:
-        truck: with its noise.
-        fault: that it has.
-        seed: of the noise.
-        healthy: seed of the healthy drive that gives nu and J.
-        first_charge: J_1 of (41) [As].
+        fault: that the truck has.
+        seed: of the noise; that of the healthy drive, which gives nu and J, is 10 000 more.
     """
-    params = Paper(monitor=Params(follow=False, limit=_UNLIMITED), signed_charge=first_charge)
-    quiet = inputs(truck, None, healthy)
+    truck = TRUCK.model_copy(update={"noise_factor": NOISE})
+    params = Paper(monitor=Params(follow=False, limit=_UNLIMITED), signed_charge=CHARGE)
+    quiet = inputs(truck, None, seed + 10_000)
     params = calibrated(params, [quiet], floor=1.0)
     nu = params.nu[_T4]
     still = follow(quiet, params, keep=True).trace

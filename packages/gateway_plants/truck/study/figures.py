@@ -13,17 +13,14 @@ from gateway_plants.truck.ecu.params import TruckFault
 from gateway_plants.truck.monitor.observer import ENGINE, GENERATOR, MASS, MOTOR, SLOPE
 from gateway_plants.truck.monitor.params import Params
 from gateway_plants.truck.study import paper
-from gateway_plants.truck.study.conditions import CHARGE, CONDITIONS, NOISE, Compared, compare
+from gateway_plants.truck.study.claims import battery_short, blanked, healthy_and_not
+from gateway_plants.truck.study.conditions import CONDITIONS, NOISE, Compared
 from gateway_plants.truck.study.follow import Trace, follow, inputs
-from gateway_plants.truck.study.paper import RESIDUALS, T4_ABSOLUTE, T4_MIXED, T4_SIGNED, Paper
 from gateway_plants.truck.study.table import TRUCK
 from gateway_replay.drawing import save
 
 #: Parts of the cycle that the figures show [s].
 _TWO_WINDOWS, _LONG_WINDOW = (440.0, 620.0), (1560.0, 1700.0)
-_EFFICIENCY = TruckFault(kind="machine_efficiency", from_s=0.0)
-_EFFICIENCY_LATER = TruckFault(kind="machine_efficiency", from_s=_TWO_WINDOWS[0])
-_SENSOR = TruckFault(kind="machine_voltage_sensor", from_s=0.0)
 #: One sample in so many is drawn.
 _THIN = 20
 
@@ -39,11 +36,6 @@ def _between(trace: paper.Trace, span: tuple[float, float]) -> NDArray[np.int64]
     return np.flatnonzero((trace.t >= span[0]) & (trace.t < span[1]))
 
 
-def _blanked(trace: paper.Trace, name: str) -> Any:
-    """Return a residual, not a number where the model does not hold."""
-    return np.where(trace.valid, trace.residual[:, RESIDUALS.index(name)], np.nan)
-
-
 def _mean(values: Any, count: int) -> Any:
     """Return the mean over so many samples, of those that are numbers; none where the value is none."""
     known = np.isfinite(values)
@@ -56,7 +48,7 @@ def _two_windows(path: Path, compared: Compared, title: str, shown: tuple[str, .
     trace = compared.trace
     at = _between(trace, _TWO_WINDOWS)
     figure, axes = plt.subplots(3, 1, figsize=(9, 7.5), sharex=True)
-    residual = _blanked(trace, "T4_ICDS")
+    residual = blanked(trace, "T4_ICDS")
     axes[0].plot(trace.t[at], residual[at], lw=0.4, color="0.6", label="r")
     axes[0].plot(trace.t[at], _mean(residual[at], 100), lw=1.0, color="C0", label="mean of 1 s")
     axes[0].set_ylabel("residual of T4 [rad/s]")
@@ -79,14 +71,13 @@ def _two_windows(path: Path, compared: Compared, title: str, shown: tuple[str, .
 
 
 def _fig7(path: Path, seed: int) -> Path:
-    drives = (inputs(TRUCK, fault, seed) for fault in (None, _EFFICIENCY))
-    healthy, faulty = (paper.follow(u, Paper(), keep=True).trace for u in drives)
+    healthy, faulty = healthy_and_not(seed)
     figure, axes = plt.subplots(2, 1, figsize=(9, 6), sharex=True)
     at = _between(healthy, _LONG_WINDOW)
     for axis, name in zip(axes, ("T3_ICDS", "T3_MCDS"), strict=True):
-        sigma = np.nanstd(_blanked(healthy, name))
+        sigma = np.nanstd(blanked(healthy, name))
         for trace, label, color in ((faulty, "$f_{em,\\eta}$", "C3"), (healthy, "no fault", "C0")):
-            axis.plot(trace.t[at], _blanked(trace, name)[at] / sigma, lw=0.5, label=label, color=color)
+            axis.plot(trace.t[at], blanked(trace, name)[at] / sigma, lw=0.5, label=label, color=color)
         _shade(axis, healthy)
         axis.set_ylabel(f"{name.replace('_', ' in ')}, normalised")
         axis.set_xlim(*_LONG_WINDOW)
@@ -97,15 +88,10 @@ def _fig7(path: Path, seed: int) -> Path:
 
 
 def _fig8(path: Path, seed: int) -> Path:
-    truck = TRUCK
-    unlimited = Paper(monitor=Params(follow=False, limit=1e12))
-    params = paper.calibrated(unlimited, [inputs(truck, None, seed + 1)], floor=1.0)
-    fault = TruckFault(kind="battery_short", from_s=400.0)
-    trace = paper.follow(inputs(truck, fault, seed), params, keep=True).trace
+    trace, norm = battery_short(seed)
     figure, axis = plt.subplots(figsize=(9, 4))
-    both = np.maximum(trace.norm[::_THIN, T4_SIGNED], trace.norm[::_THIN, T4_ABSOLUTE])
-    axis.plot(trace.t[::_THIN], both, label="T4 in ICDS: the larger of (41) and (45)", color="C0")
-    axis.plot(trace.t[::_THIN], trace.norm[::_THIN, T4_MIXED], label="T4 in MCDS", color="C1")
+    axis.plot(trace.t[::_THIN], norm[::_THIN, 0], label="T4 in ICDS: the larger of (41) and (45)", color="C0")
+    axis.plot(trace.t[::_THIN], norm[::_THIN, 1], label="T4 in MCDS", color="C1")
     _shade(axis, trace)
     axis.axvline(400.0, color="k", lw=0.6, ls="--")
     axis.axhline(1.0, color="k", lw=0.6, ls=":")
@@ -172,14 +158,16 @@ def _estimates(path: Path, seed: int) -> Path:
     return save(figure, path)
 
 
-def draw(folder: Path, seed: int) -> list[Path]:
-    """Draw everything into a folder; returns the files."""
+def draw(folder: Path, sensor: Compared, efficiency: Compared, seed: int) -> list[Path]:
+    """Draw everything into a folder; returns the files.
+
+    Args:
+        folder: made if need be.
+        sensor: conditions with the voltage sensor off.
+        efficiency: conditions with half of the efficiency from 440 s on.
+        seed: of the other drives.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    truck = TRUCK.model_copy(update={"noise_factor": NOISE})
-    sensor, efficiency = (
-        compare(truck, fault, seed=seed, healthy=seed + 1, first_charge=CHARGE)
-        for fault in (_SENSOR, _EFFICIENCY_LATER)
-    )
     return [
         _two_windows(
             folder / "fig5.png",
