@@ -111,7 +111,7 @@ def quiet(sigma: float, hours: float, seed: int) -> Quiet:
     plant, feedback, rng = example.plant(), np.array(FEEDBACK), np.random.default_rng(seed)
     count, judged, alarms = round(hours * 3600 / example.PERIOD), 0, 0
     bank, x = records(5.0, known=False), np.zeros(plant.states)
-    before: NDArray[np.int64] = np.zeros((1, 4), np.int64)
+    before: Any = np.zeros((1, 4), np.int64)
     closed = plant.phi - plant.gamma @ feedback
     for first in range(0, count, PORTION):
         k = np.arange(first, min(first + PORTION, count))
