@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gateway_fdi.common.log import get_logger
-from gateway_fdi.errors import InputError
+from gateway_fdi.errors import InputError, nearest
 
 #: The folder in which the packages lie.
 _PACKAGES = Path(__file__).parents[2]
@@ -101,3 +101,28 @@ def beside_or_shipped(folder: Path, name: Path) -> Path:
     if beside.exists() or name.is_absolute() or ".." in name.parts:
         return beside
     return next(_places(name.as_posix()), beside)
+
+
+def find(path: Path, folder: Path, kind: str, suffix: str, *, beside: str, key: str) -> Path:
+    """Return a file that another one names: in that one's folder, else one that comes with the gateway.
+
+    Args:
+        path: as it was told.
+        folder: of the file that tells it.
+        kind: folder of the shipped ones, e.g. ``models``; it may be a part of the path.
+        suffix: of these, e.g. ``.toml``.
+        beside: the file that tells it, for people.
+        key: of that file.
+
+    Raises:
+        InputError: there is neither.
+    """
+    found = beside_or_shipped(folder, path)
+    if found.exists():
+        return found
+    try:
+        return shipped(str(path) if path.parent.name == kind else f"{kind}/{path}")
+    except InputError as error:
+        known = [f"{kind}/{each.name}" for each in all_shipped(kind, suffix)]
+        text = f"no such file beside {beside}, and the gateway comes with {', '.join(known)} only"
+        raise InputError(f"{text}{nearest(f'{kind}/{path.name}', known)}", key=key, value=str(path)) from error

@@ -17,43 +17,29 @@ turn during the step, so that a turning frame costs nothing.
 from __future__ import annotations
 
 from math import cos, pi, sin
-from typing import Annotated
 
 import numpy as np
 
-from gateway_fdi.filters import gaussian, motor
-from gateway_fdi.filters.gaussian import ENTRIES, STATES
+from gateway_fdi.filters import gaussian
+from gateway_fdi.filters.gaussian import STATES
 from gateway_fdi.filters.motor import Motor
 from gateway_fdi.filters.transforms import inverse_park, wrap
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
+from gateway_fdi.jit import f8, i8, kernel, means
 
 
-class Const(Record):
-    """Constants."""
+class Const(gaussian.Const):
+    """Constants; 4 states are in use, or 5 with the load."""
 
-    motor: motor.Const = means("the motor")
-    n: i8 = means("states in use: 4, or 5 with the load")
-    steps: i8 = means("Euler sub-steps in a period")
-    h: f8 = means("length of a sub-step", "s")
     inductance: f8 = means("L", "H")
-    q: Annotated[f8s, ENTRIES] = means("process noise of a sub-step")
-    r: f8 = means("variance of a current", "A^2")
-    start: Annotated[f8s, STATES] = means("variances at the start")
     slow: f8 = means("speed below which the angle is anchored; 0: never", "rad/s")
     sensor: f8 = means("variance of the angle it is anchored at", "rad^2")
 
 
-class State(Record):
-    """State."""
+class State(gaussian.State):
+    """State; ``x``: I_alpha, I_beta [A], omega [rad/s], theta [rad], M [N m]."""
 
-    x: Annotated[f8s, STATES] = means("I_alpha, I_beta [A], omega [rad/s], theta [rad], M [N m]")
-    p: Annotated[f8s, ENTRIES] = means("covariance of x")
-    f: Annotated[f8s, ENTRIES] = means("Jacobian")
-    w: Annotated[f8s, ENTRIES] = means("room for products")
     resistance: f8 = means("R, as warm as it is; may be set between steps", "Ohm")
-    nis: f8 = means("normalised innovation squared")
     held: i8 = means("1: anchored in the last step")
-    started: i8 = means("1: it has begun")
 
 
 def prepare(
@@ -83,12 +69,8 @@ def prepare(
         slow: below this speed :func:`hold` anchors the angle [rad/s]; 0: never.
         sensor: standard deviation of the angle it is anchored at [rad].
     """
-    from filterpy.common import van_loan_discretization  # noqa: PLC0415 - slow to load
-
-    motor.prepare(c.motor, m)
     inductance = 0.5 * (m.ld + m.lq)
     n = 5 if load else 4
-    c.n, c.steps, c.h, c.r = n, steps, period / steps, current**2
     c.inductance, c.slow, c.sensor = inductance, slow, sensor**2
     a = np.zeros((n, n))
     a[0, 0] = a[1, 1] = -m.resistance / inductance
@@ -96,10 +78,9 @@ def prepare(
     a[2, 1], a[2, 2], a[3, 2] = m.torque / m.inertia, -m.friction / m.inertia, 1.0
     intensity = np.sqrt(period)  # a mean over a step, as white noise
     noise = [voltage / inductance * intensity] * 2 + [torque / m.inertia * intensity, 0.0]
-    g = np.diag(noise + [wander] * load)
     if load:
         a[2, 4] = -1.0 / m.inertia
-    q = van_loan_discretization(a, g, period / steps)[1]
+    q = gaussian.prepare(c, m, a, noise + [wander] * load, period, steps, current)
     q[0, 0] = q[1, 1] = 0.5 * (q[0, 0] + q[1, 1])  # the frame of the linearisation is no direction
     q[:2, 2:] = q[2:, :2] = 0.0
     q[0, 1] = q[1, 0] = 0.0

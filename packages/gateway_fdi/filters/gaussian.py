@@ -1,14 +1,63 @@
-"""Covariances of Kalman filters with up to five states, of which the first two are measured (paper 001, (43) to (45)).
+"""A motor's extended Kalman filters: up to five states, of which the first two are measured (paper 001, (43) to (45)).
 
-Matrices are flat, row by row, ``p[i * n + j]``. Correction: (42) evaluates g at the predicted state x(k|k-1).
+Within a step they run in Euler sub-steps. Matrices are flat, row by row, ``p[i * n + j]``. Correction: (42) evaluates g
+at the predicted state x(k|k-1).
 """
 
 from __future__ import annotations
 
-from gateway_fdi.jit import f8s, kernel
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway_fdi.filters import motor
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 
 #: Largest number of states, and of entries of a covariance.
 STATES, ENTRIES = 5, 25
+
+
+class Const(Record):
+    """Constants."""
+
+    motor: motor.Const = means("the motor")
+    n: i8 = means("states in use")
+    steps: i8 = means("Euler sub-steps in a period")
+    h: f8 = means("length of a sub-step", "s")
+    q: Annotated[f8s, ENTRIES] = means("process noise of a sub-step")
+    r: f8 = means("variance of a current", "A^2")
+    start: Annotated[f8s, STATES] = means("variances at the start")
+
+
+class State(Record):
+    """State."""
+
+    x: Annotated[f8s, STATES] = means("states: two currents [A], and what the filter says")
+    p: Annotated[f8s, ENTRIES] = means("covariance of x")
+    f: Annotated[f8s, ENTRIES] = means("Jacobian F")
+    w: Annotated[f8s, ENTRIES] = means("room for products")
+    nis: f8 = means("normalised innovation squared")
+    started: i8 = means("1: it has begun")
+
+
+def prepare(
+    c: Any, m: motor.Motor, a: NDArray[np.float64], noise: list[float], period: float, steps: int, current: float
+) -> NDArray[np.float64]:
+    """Fill a record of Const but for ``q`` and ``start``; returns the process noise of a sub-step, shape (n, n).
+
+    Args:
+        a: slopes of the states by the states, around rest, shape (n, n).
+        noise: of each slope, density.
+        period: of a step [s].
+        steps: Euler sub-steps.
+        current: standard deviation of a measured current [A].
+    """
+    from filterpy.common import van_loan_discretization  # noqa: PLC0415 - slow to load
+
+    motor.prepare(c.motor, m)
+    c.n, c.steps, c.h, c.r = len(a), steps, period / steps, current**2
+    return np.asarray(van_loan_discretization(a, np.diag(noise), period / steps)[1])
 
 
 @kernel

@@ -6,6 +6,7 @@ An intrinsic is a function of plain Python, and, when a kernel that uses it is c
 from __future__ import annotations
 
 from collections.abc import Callable
+from inspect import isfunction
 from typing import Any, cast
 
 import numpy as np
@@ -18,10 +19,10 @@ class Intrinsic:
 
     Args:
         python: the function.
-        build: imports numba and returns its intrinsic.
+        build: (llvmlite.ir, numba.types) -> the body of numba's intrinsic, or a type of numba's.
     """
 
-    def __init__(self, python: Callable[..., Any], build: Callable[[], Any]) -> None:
+    def __init__(self, python: Callable[..., Any], build: Callable[[Any, Any], Any]) -> None:
         self._python = python
         self._build = build
         self._type: Any = None
@@ -36,10 +37,14 @@ class Intrinsic:
     def _numba_type_(self) -> Any:
         """Type of this function, by which numba knows it."""
         if self._type is None:
-            from numba.core.registry import cpu_target  # noqa: PLC0415 - only when compiling
+            from llvmlite import ir  # noqa: PLC0415 - only when compiling
+            from numba import types  # noqa: PLC0415
+            from numba.core.registry import cpu_target  # noqa: PLC0415
+            from numba.extending import intrinsic  # noqa: PLC0415
 
             typing: Any = cpu_target.typing_context
-            made = self._build()
+            made = self._build(ir, types)
+            made = intrinsic(made) if isfunction(made) else made
             typing.refresh()  # numba learns of what was registered since
             self._type = typing.resolve_value_type(made)
         return self._type
@@ -75,11 +80,8 @@ def _call_entry(address: int, a: int, b: int, c: int, d: int) -> int:
     return 0
 
 
-def _build_call_entry() -> Any:
-    from llvmlite import ir  # noqa: PLC0415
-    from numba import types  # noqa: PLC0415
+def _build_call_entry(ir: Any, types: Any) -> Any:
     from numba.core import cgutils  # noqa: PLC0415
-    from numba.extending import intrinsic  # noqa: PLC0415
 
     def call_entry(_typing: Any, address: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
         signature = types.int64(*[types.int64] * 5)
@@ -101,7 +103,7 @@ def _build_call_entry() -> Any:
 
         return signature, generate
 
-    return intrinsic(call_entry)
+    return call_entry
 
 
 #: Calls the entry at an address with the addresses of its four records; returns 0, or what went wrong (see failures).
@@ -113,18 +115,14 @@ def _lowest_bit(word: int) -> int:
     return (int(word) & -int(word)).bit_length() - 1
 
 
-def _build_lowest_bit() -> Any:
-    from llvmlite import ir  # noqa: PLC0415
-    from numba import types  # noqa: PLC0415
-    from numba.extending import intrinsic  # noqa: PLC0415
-
+def _build_lowest_bit(ir: Any, types: Any) -> Any:
     def lowest_bit(_typing: Any, word: Any) -> Any:
         def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
 
         return types.int64(types.int64), generate
 
-    return intrinsic(lowest_bit)
+    return lowest_bit
 
 
 #: Returns the place of the lowest set bit of a word that is not 0 and not negative.
@@ -135,11 +133,7 @@ def _read_ahead(record: Any) -> None:
     """Have the processor fetch a record's beginning, three lines of its cache, while it goes on with other things."""
 
 
-def _build_read_ahead() -> Any:
-    from llvmlite import ir  # noqa: PLC0415
-    from numba import types  # noqa: PLC0415
-    from numba.extending import intrinsic  # noqa: PLC0415
-
+def _build_read_ahead(ir: Any, types: Any) -> Any:
     def read_ahead(_typing: Any, record: Any) -> Any:
         def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
@@ -154,7 +148,7 @@ def _build_read_ahead() -> Any:
 
         return types.none(record), generate
 
-    return intrinsic(read_ahead)
+    return read_ahead
 
 
 #: Has the processor fetch the beginning of a record, three lines of its cache, while it goes on with other things.

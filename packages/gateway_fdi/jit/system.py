@@ -40,10 +40,7 @@ def _of_system(name: str, result: str, *arguments: str) -> Callable[..., int]:
     def python(*values: Any) -> Any:
         return _in_python(name, result, arguments)(*map(int, values))
 
-    def build() -> Any:
-        from numba import types  # noqa: PLC0415 - only when compiling
-
-        kinds: Any = types
+    def build(_ir: Any, kinds: Any) -> Any:
         signature = getattr(kinds, result)(*[getattr(kinds, kind) for kind in arguments])
         return kinds.ExternalFunction(name, signature)
 
@@ -73,11 +70,7 @@ def _call_bound(_address: int, _arguments: int, _results: int) -> int:
     raise KernelError("only compiled kernels call an entry by its cells")
 
 
-def _build_call_bound() -> Any:
-    from llvmlite import ir  # noqa: PLC0415
-    from numba import types  # noqa: PLC0415
-    from numba.extending import intrinsic  # noqa: PLC0415
-
+def _build_call_bound(ir: Any, types: Any) -> Any:
     def call_bound(_typing: Any, address: Any, arguments_at: Any, results_at: Any) -> Any:
         def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             word = ir.IntType(64)
@@ -88,7 +81,7 @@ def _build_call_bound() -> Any:
 
         return types.int64(types.int64, types.int64, types.int64), generate
 
-    return intrinsic(call_bound)
+    return call_bound
 
 
 #: Calls an entry (:attr:`gateway_fdi.jit.kernels.Bound.address`) with its cells; returns 0, or its status if it failed.
@@ -108,11 +101,7 @@ def _change_if(address: int, before: int, after: int) -> int:
         return int(had)
 
 
-def _build_change_if() -> Any:
-    from llvmlite import ir  # noqa: PLC0415
-    from numba import types  # noqa: PLC0415
-    from numba.extending import intrinsic  # noqa: PLC0415
-
+def _build_change_if(ir: Any, types: Any) -> Any:
     def change_if(_typing: Any, address: Any, before: Any, after: Any) -> Any:
         def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             word = ir.IntType(64)
@@ -122,7 +111,7 @@ def _build_change_if() -> Any:
 
         return types.int64(types.int64, types.int64, types.int64), generate
 
-    return intrinsic(change_if)
+    return change_if
 
 
 #: Changes an int64 that two threads share in one step, if it has a value; returns 1 if it had, else 0.

@@ -37,7 +37,6 @@ from typing import Any
 
 from pydantic import Field
 
-from gateway_fdi.common.resources import all_shipped, beside_or_shipped, shipped
 from gateway_fdi.common.tomlfile import StrictModel, load, read_toml, validate
 from gateway_fdi.errors import InputError, InputErrors, nearest
 from gateway_fdi.structure.model import (
@@ -317,29 +316,6 @@ def load_model(source: str | PathLike[str] | Mapping[str, Any]) -> Model:
         return _Reader(validate(dict(source), ModelFile, None), None).model("model")
     path = Path(source)
     return _Reader(load(path, ModelFile), path).model(path.stem)
-
-
-def find_model(path: Path, folder: Path, *, beside: str, key: str) -> Path:
-    """Return the file of a model: in a folder, else one that comes with the gateway.
-
-    Args:
-        path: as it was told.
-        folder: of the file that tells it.
-        beside: kind of that file, for people.
-        key: of the file that tells it.
-
-    Raises:
-        InputError: there is neither.
-    """
-    found = beside_or_shipped(folder, path)
-    if found.exists():
-        return found
-    try:
-        return shipped(f"models/{path}")
-    except InputError as error:
-        known = [each.name for each in all_shipped("models", ".toml")]
-        text = f"no such file beside {beside}, and the gateway comes with {', '.join(known)} only"
-        raise InputError(f"{text}{nearest(str(path), known)}", key=key, value=str(path)) from error
 
 
 def load_own_model(path: Path, *, key: str) -> Model:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +36,9 @@ def minimal_sets(candidates: Sequence[int], enough: Callable[[frozenset[int]], b
     """
     if not enough(frozenset(candidates)):
         return []
-    hitting = [frozenset[int]()]
-    confirmed: set[frozenset[int]] = set()
+    enough, hitting = cache(enough), [frozenset[int]()]
     while True:
-        short = next((s for s in hitting if s not in confirmed and not _confirm(s, enough, confirmed)), None)
+        short = next((s for s in hitting if not enough(s)), None)
         if short is None:
             return sorted(hitting, key=lambda s: (len(s), sorted(s)))
         grown = set(short)
@@ -49,17 +49,6 @@ def minimal_sets(candidates: Sequence[int], enough: Callable[[frozenset[int]], b
         hitting = grown_by(hitting, missing)
         if len(hitting) > MOST_SETS:
             raise ValueError(f"more than {MOST_SETS} sets of sensors to look at: allow fewer places")
-
-
-def _confirm(
-    sensors: frozenset[int],
-    enough: Callable[[frozenset[int]], bool],
-    confirmed: set[frozenset[int]],
-) -> bool:
-    if enough(sensors):
-        confirmed.add(sensors)
-        return True
-    return False
 
 
 def place_sensors(model: Model, places: Sequence[str] | None = None, *, isolate: bool = True) -> list[tuple[str, ...]]:

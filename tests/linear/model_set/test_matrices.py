@@ -25,7 +25,7 @@ def told(period, *, discrete=False):
     known = entries(A, B, 0.1, 0.1)
     return Told(
         plant, np.array(A), np.array(B), discrete, noise, known, np.full(1, 0.3), np.full(3, 1.0), isolable(plant),
-        np.zeros(3), np.full(3, 0.2), np.zeros(3), counted=False,
+        np.zeros(3), np.full(3, 0.2), np.full(1, 0.06), np.zeros(3), counted=False,
     )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from gateway_fdi.jit import COMPILED, zeros
 from gateway_plants.linear.ecu.ecu import ECU
 from gateway_plants.linear.ecu.params import LinearFault
 from gateway_plants.linear.ecu.plant import simulate
+from gateway_plants.linear.mathematics.gains import from_noise
 from gateway_plants.linear.monitor import observer as linear_observer
 from gateway_plants.linear.monitor import plant as linear_plant
 from gateway_plants.linear.monitor.pi_bank import MONITOR as BANK
@@ -94,9 +95,7 @@ def test_faults_are_named_by_the_user_s_parts():
          "states has 1 entries, the plant 4 states"),
         ('name = "rudder"', 'name = "aileron"', "two inputs or outputs share a name"),
         ("Aircraft_Command.Rudder", "Aircraft_Command.Ruder", "no signal 'Ruder'"),
-        ("sample_ms = 100.0", "sample_ms = 100.0\npoles = [-1.0, -2.0]", "6 poles are needed, 2 are given"),
-        ("sample_ms = 100.0", "sample_ms = 100.0\npoles = [1.0, -2.0, -3.0, -4.0, -5.0, -6.0]",
-         "outside the unit circle"),
+        ("sample_ms = 100.0", "sample_ms = 100.0\npoles = [-1.0, -2.0]", "gains are Kalman's"),
         ("sample_ms = 100.0", "sample_ms = 100.0\nstate_noise = -1.0", "not negative"),
         ("sample_ms = 100.0", "sample_ms = 100.0\nwrong = 1", "wrong"),
     ],
@@ -272,17 +271,28 @@ def test_levels_of_rules():
     assert run_length.cusum(465, 0.5) == pytest.approx(5.0, abs=0.05)
 
 
-def test_own_levels_and_poles_are_taken():
-    options = {
-        **entry("belt", "model"),
-        "level": 7.0,
-        "poles": [-50.0, -60.0, [-70.0, 20.0], [-70.0, -20.0]],
-    }
-    p = linear_observer.Params(**options)
-    assert p.threshold == 7.0
-    got = np.linalg.eigvals(p.plant.phi - p.observer.gain @ p.plant.c)
-    expected = np.exp(0.01 * np.array([-50, -60, -70 + 20j, -70 - 20j]))
-    np.testing.assert_allclose(np.sort(np.abs(got)), np.sort(np.abs(expected)), rtol=1e-6)
+def test_an_own_level_is_taken():
+    assert linear_observer.Params(**entry("belt", "model"), level=7.0).threshold == 7.0
+
+
+def test_one_observer_of_an_exact_plant_is_the_stationary_filter():
+    """Its innovations, their variances and its gain, once nothing is left of the start."""
+    monitor = linear_observer.MONITOR
+    p = monitor.params(**entry("aircraft"))
+    s, c, out = zeros(1, monitor.state)[0], zeros(1, monitor.const)[0], zeros(1, monitor.results)[0]
+    monitor.prepare(p, s, c)
+    plant, noises = p.plant, p.noise
+    q, r = np.diag(noises.states**2 * plant.period), np.diag(noises.outputs**2)
+    told = from_noise(plant.phi, plant.c, q, r)
+    y, u = flight(seconds=400.0, seed=3)
+    x = np.zeros(4)
+    for k, row in enumerate(inputs(y, u)):
+        out["n"] = 0
+        monitor.step(s, c, row, out)
+        e = y[k] - plant.c @ x
+        x = plant.phi @ x + plant.gamma @ u[k] + told.gain @ e
+    np.testing.assert_allclose(s.models.filters.e[0][:3], e, atol=1e-3 * noises.outputs.max())
+    np.testing.assert_allclose(s.models.filters.own[:3], np.diag(told.innovation), rtol=1e-3)
 
 
 def test_the_configuration_names_the_type():

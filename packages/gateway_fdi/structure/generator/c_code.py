@@ -1,7 +1,7 @@
 """A residual generator as self-contained C99, with a test of itself.
 
-It is the kernel's own source, translated statement by statement: names, order and arithmetic are the same. The file
-needs <math.h> alone, has no global state and allocates nothing:
+It is the source of the kernel, and of those of :mod:`.runtime` that it calls, translated statement by statement: names,
+order and arithmetic are the same. The file needs <math.h> alone, has no global state and allocates nothing:
 
     void   NAME_reset(NAME_state *s, const NAME_const *c)
     void   NAME_start(NAME_state *s, const NAME_const *c, const NAME_input *u)
@@ -14,6 +14,7 @@ it and ends with 0 if the residuals are those of the gateway.
 from __future__ import annotations
 
 import ast
+import inspect
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -22,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from gateway_fdi.jit import zeros
+from gateway_fdi.structure.generator import runtime
 from gateway_fdi.structure.generator.loading import Loaded
 from gateway_fdi.structure.sequence import shown
 
@@ -40,140 +42,18 @@ NAN INFINITY pow fabs isfinite isnan interpolate incline
 advance multiply exponentials root sign smaller larger main printf size_t NULL EOF
 """
 _RESERVED = frozenset(_WORDS.split())
-_CALLS = {
-    "abs": "fabs", "min": "smaller", "max": "larger", "root": "root", "sign": "sign", "advance": "advance",
-    "isfinite": "isfinite", "incline": "incline",
-    **{name: name for name in ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "interpolate")},
-}  # fmt: skip
+_CALLS = {"abs": "fabs", "min": "smaller", "max": "larger"}
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _WHOLE = {ast.Mod: "%", ast.FloorDiv: "/"}
 _COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _NAMES = {"nan": "NAN", "pi": repr(math.pi)}
+#: Kinds of arguments, by their annotation; {} is the prefix.
+_KINDS = {
+    "State": "{}_state *", "Const": "const {}_const *", "Any": "const {}_input *", "float": "double ", "int": "int ",
+}  # fmt: skip
+_RETURNED = {"float": "double", "None": "void"}
 
-_ADVANCE = """/* The product of two matrices. */
-static void multiply(const double *a, const double *b, double *to, int n)
-{
-    int i, j, k;
-    for (i = 0; i < n; i++)
-        for (j = 0; j < n; j++) {
-            double total = 0.0;
-            for (k = 0; k < n; k++)
-                total += a[i * n + k] * b[k * n + j];
-            to[i * n + j] = total;
-        }
-}
-
-/* phi0 = exp z, phi1 = (phi0 - 1) / z, phi2 = (phi1 - 1) / z of a matrix, one behind the other. */
-static void exponentials(const double *z, double *phi0, double *a, int n)
-{
-    int i, j, k, size = n * n, doublings = 0;
-    double *phi1 = phi0 + size, *phi2 = phi1 + size, *b = a + size;
-    double largest = 0.0, scale = 1.0, factor = 1.0;
-    for (i = 0; i < n; i++) {
-        double row = 0.0;
-        for (j = 0; j < n; j++)
-            row += fabs(z[i * n + j]);
-        if (row > largest)
-            largest = row;
-    }
-    while (largest * scale > 0.5 && doublings < 64) {
-        scale *= 0.5;
-        doublings++;
-    }
-    for (k = 2; k < 16; k++)
-        factor /= k;
-    for (i = 0; i < size; i++) {
-        a[i] = z[i] * scale;
-        phi2[i] = i % (n + 1) == 0 ? factor : 0.0;
-    }
-    for (k = 15; k > 2; k--) {
-        factor *= k;
-        multiply(a, phi2, b, n);
-        for (i = 0; i < size; i++)
-            phi2[i] = b[i] + (i % (n + 1) == 0 ? factor : 0.0);
-    }
-    multiply(a, phi2, phi1, n);
-    for (i = 0; i < n; i++)
-        phi1[i * n + i] += 1.0;
-    multiply(a, phi1, phi0, n);
-    for (i = 0; i < n; i++)
-        phi0[i * n + i] += 1.0;
-    for (k = 0; k < doublings; k++) {
-        multiply(phi0, phi2, a, n);
-        multiply(phi0, phi1, b, n);
-        for (i = 0; i < size; i++) {
-            phi2[i] = 0.25 * (a[i] + phi1[i] + phi2[i]);
-            phi1[i] = 0.5 * (b[i] + phi1[i]);
-        }
-        multiply(phi0, phi0, a, n);
-        for (i = 0; i < size; i++)
-            phi0[i] = a[i];
-    }
-}
-
-/* What states move in a step: h phi1(h J) f + h phi2(h J) c, the exponential Rosenbrock-Euler method. */
-static void advance(const double *jacobian, double *slopes, double *hold, double dt, int n)
-{
-    int i, j, size = n * n, same = hold[2 * n * n] != 0.0;
-    for (i = 0; i < size; i++) {
-        double z = jacobian[i] * dt;
-        if (hold[i] != z) {
-            hold[i] = z;
-            same = 0;
-        }
-    }
-    if (!same)
-        exponentials(hold, hold + size, hold + 4 * size, n);
-    for (i = 0; i < n; i++) {
-        double moved = 0.0;
-        for (j = 0; j < n; j++)
-            moved += hold[2 * size + i * n + j] * slopes[j] + hold[3 * size + i * n + j] * slopes[n + j];
-        moved *= dt;
-        slopes[2 * n + i] = isfinite(moved) ? moved : 0.0;
-    }
-}
-"""
-
-_HELPERS = {
-    "interpolate": """/* The function through n points: linear between them, constant beyond. */
-static double interpolate(const double *x, const double *y, int n, double at)
-{
-    int low = 0, high = n - 1;
-    if (!(at > x[0]))
-        return at <= x[0] ? y[0] : NAN;
-    if (at >= x[high])
-        return y[high];
-    while (high - low > 1) {
-        int middle = (low + high) / 2;
-        if (x[middle] <= at)
-            low = middle;
-        else
-            high = middle;
-    }
-    return y[low] + (y[high] - y[low]) * (at - x[low]) / (x[high] - x[low]);
-}
-""",
-    "incline": """/* The slope of that function, 0 beyond its points. */
-static double incline(const double *x, const double *y, int n, double at)
-{
-    int k;
-    for (k = 0; k < n - 1; k++)
-        if (x[k] <= at && at < x[k + 1])
-            return (y[k + 1] - y[k]) / (x[k + 1] - x[k]);
-    return 0.0;
-}
-""",
-    "advance": _ADVANCE,
-    "root": """static double root(double value)
-{
-    return value >= 0.0 ? sqrt(value) : NAN;
-}
-""",
-    "sign": """static double sign(double value)
-{
-    return value > 0.0 ? 1.0 : value < 0.0 ? -1.0 : 0.0;
-}
-""",
+_BUILT_IN = {
     "smaller": """static double smaller(double a, double b)
 {
     return b < a ? b : a;
@@ -185,6 +65,16 @@ static double incline(const double *x, const double *y, int n, double at)
 }
 """,
 }
+
+
+def _functions(source: str) -> dict[str, ast.FunctionDef]:
+    """Return the functions of a module by their names, in its order."""
+    return {node.name: node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)}
+
+
+def _called(node: ast.AST) -> set[str]:
+    """Return the names of what is called in a tree."""
+    return {x.func.id for x in ast.walk(node) if isinstance(x, ast.Call) and isinstance(x.func, ast.Name)}
 
 
 def _c_name(name: str) -> str:
@@ -201,17 +91,24 @@ class _Translator:
 
     def __init__(self, name: str, tables: Mapping[str, int]) -> None:
         self.name, self.tables = name, tables
+        self.runtime = _functions(inspect.getsource(runtime))
 
     def expression(self, node: ast.expr) -> str:
         """Return an expression; all in parentheses that is not one word."""
         if isinstance(node, ast.Constant):
-            return repr(node.value)
+            return repr(int(node.value) if isinstance(node.value, bool) else node.value)
         if isinstance(node, ast.Name):
-            return _NAMES.get(node.id) or _c_name(node.id)
+            constant = vars(runtime).get(node.id)
+            return repr(constant) if isinstance(constant, int) else _NAMES.get(node.id) or _c_name(node.id)
         if isinstance(node, ast.Attribute):
             assert isinstance(node.value, ast.Name)
+            if node.value.id == "math":
+                return _NAMES.get(node.attr) or node.attr
             return f"{node.value.id}->{_c_name(node.attr)}"
         if isinstance(node, ast.Subscript):
+            if isinstance(node.slice, ast.Slice):
+                low = "0" if node.slice.lower is None else self.expression(node.slice.lower)
+                return f"({self.expression(node.value)} + {low})"
             return f"{self.expression(node.value)}[{self.expression(node.slice)}]"
         if isinstance(node, ast.BinOp):
             return self.binary(node)
@@ -238,30 +135,56 @@ class _Translator:
         return f"({left} {(_OPERATORS | _WHOLE)[type(node.op)]} {right})"
 
     def call(self, node: ast.Call) -> str:
-        assert isinstance(node.func, ast.Name)
+        name = ast.unparse(node.func).removeprefix("math.")
+        if name == "len":
+            return self.length(node.args[0])
         arguments = [self.expression(argument) for argument in node.args]
-        if node.func.id == "float":
+        if name == "float":
             return arguments[0]
-        if node.func.id == "advance":
-            slopes = node.args[1].value if isinstance(node.args[1], ast.Subscript) else node.args[1]
-            assert isinstance(slopes, ast.Attribute)
-            arguments.append(str(self.tables[slopes.attr] // 3))
-        if node.func.id in ("interpolate", "incline"):
-            table = node.args[0]
-            assert isinstance(table, ast.Attribute)
-            arguments.insert(2, str(self.tables[table.attr]))
-        return f"{_CALLS[node.func.id]}({', '.join(arguments)})"
+        if name in self.runtime:
+            parameters = [arg.arg for arg in self.runtime[name].args.args]
+            arguments += [self.length(node.args[parameters.index(each)]) for each in _measured(self.runtime[name])]
+        return f"{_CALLS.get(name, name).lstrip('_')}({', '.join(arguments)})"
+
+    def length(self, node: ast.expr) -> str:
+        """Return the length of an array: a field's (of a row of it), or that of an argument, which is one more."""
+        array = node.value if isinstance(node, ast.Subscript) else node
+        return str(self.tables[array.attr]) if isinstance(array, ast.Attribute) else f"{self.expression(array)}_length"
+
+    def kind(self, node: ast.expr, known: Mapping[str, str]) -> str:
+        """Return the type of an expression: int, double or double *."""
+        if isinstance(node, ast.Name):
+            return known.get(node.id, "double")
+        if isinstance(node, ast.Subscript):
+            return "double *" if isinstance(node.slice, ast.Slice) else "double"
+        if isinstance(node, ast.BinOp) and not isinstance(node.op, ast.Div):
+            kinds = {self.kind(node.left, known), self.kind(node.right, known)}
+            return "int" if kinds == {"int"} else "double"
+        whole = isinstance(node, ast.Compare) or (isinstance(node, ast.Constant) and isinstance(node.value, int))
+        return "int" if whole or (isinstance(node, ast.Call) and ast.unparse(node.func) == "len") else "double"
+
+    def locals(self, node: ast.FunctionDef) -> dict[str, str]:
+        """Return the types of a kernel's local names."""
+        arguments = {arg.arg: _annotated(arg.annotation) for arg in node.args.args}
+        known = {name: text for name, text in arguments.items() if text in ("int", "double")}
+        for one in ast.walk(node):
+            if isinstance(one, ast.For):
+                known[self.expression(one.target)] = "int"
+            elif isinstance(one, ast.Assign):
+                known |= {x.id: self.kind(value, known) for x, value in _pairs(one) if isinstance(x, ast.Name)}
+        return {name: kind for name, kind in known.items() if name not in arguments}
 
     def statements(self, nodes: Iterable[ast.stmt], comments: Mapping[int, str], depth: int = 1) -> list[str]:
         """Return statements as lines."""
         lines: list[str] = []
         for node in nodes:
             pad, note = "    " * depth, comments.get(node.lineno, "")
-            if isinstance(node, ast.Assign | ast.AugAssign):
-                target = node.targets[0] if isinstance(node, ast.Assign) else node.target
-                operator = "=" if isinstance(node, ast.Assign) else f"{_OPERATORS[type(node.op)]}="
-                value = self.expression(node.value)
-                lines.append(f"{pad}{self.expression(target)} {operator} {_bare(value)};{note}")
+            if isinstance(node, ast.Assign):
+                for target, value in _pairs(node):
+                    lines.append(f"{pad}{self.expression(target)} = {_bare(self.expression(value))};{note}")
+            elif isinstance(node, ast.AugAssign):
+                value_text = _bare(self.expression(node.value))
+                lines.append(f"{pad}{self.expression(node.target)} {_OPERATORS[type(node.op)]}= {value_text};{note}")
             elif isinstance(node, ast.Return):
                 assert node.value is not None
                 lines.append(f"{pad}return {self.expression(node.value)};")
@@ -273,33 +196,75 @@ class _Translator:
                 if node.orelse:
                     lines += [f"{pad}}} else {{", *self.statements(node.orelse, comments, depth + 1)]
                 lines.append(f"{pad}}}")
+            elif isinstance(node, ast.While):
+                lines.append(f"{pad}while ({_bare(self.expression(node.test))}) {{")
+                lines += [*self.statements(node.body, comments, depth + 1), f"{pad}}}"]
             elif isinstance(node, ast.For):
-                assert isinstance(node.iter, ast.Call)
-                count = self.expression(node.iter.args[0])
-                lines.append(f"{pad}for (j = 0; j < {count}; j++) {{")
+                lines.append(f"{pad}for ({self.counted(node)}) {{")
                 lines += [*self.statements(node.body, comments, depth + 1), f"{pad}}}"]
         return lines
 
+    def counted(self, node: ast.For) -> str:
+        """Return the head of a loop over a range."""
+        assert isinstance(node.iter, ast.Call)
+        name, bounds = self.expression(node.target), [self.expression(argument) for argument in node.iter.args]
+        first, last = bounds[:2] if len(bounds) > 1 else ("0", bounds[0])
+        compared, on = (">", "--") if len(bounds) > 2 else ("<", "++")
+        return f"{name} = {first}; {name} {compared} {last}; {name}{on}"
+
+    def argument(self, node: ast.FunctionDef, arg: ast.arg) -> str:
+        """Return an argument of a kernel; an array that is not written to is constant."""
+        kind = _KINDS.get(ast.unparse(arg.annotation or ast.Name("Any")))
+        if kind is not None:
+            return f"{kind.format(self.name)}{_c_name(arg.arg)}"
+        used = [x for x in ast.walk(node) if isinstance(x, ast.Subscript) and ast.unparse(x.value) == arg.arg]
+        written = any(isinstance(x.ctx, ast.Store) or isinstance(x.slice, ast.Slice) for x in used)
+        return f"{'' if written else 'const '}double *{_c_name(arg.arg)}"
+
     def function(self, node: ast.FunctionDef, comments: Mapping[int, str]) -> list[str]:
-        """Return one of the three kernels."""
-        kinds = {"s": f"{self.name}_state *s", "c": f"const {self.name}_const *c", "u": f"const {self.name}_input *u"}
-        arguments = [arg.arg for arg in node.args.args]
-        returned = "double" if node.name == "step" else "void"
-        text = ast.get_docstring(node) or ""
+        """Return a kernel: one of the three, or of the runtime's."""
+        arguments = [self.argument(node, arg) for arg in node.args.args]
+        arguments += [f"int {name}_length" for name in _measured(node)]
+        returned, own = _RETURNED[ast.unparse(node.returns or ast.Constant(None))], node.name in self.runtime
+        text = re.sub(r":\w+:`\.?(\w+)`", r"\1", (ast.get_docstring(node) or "").partition("\n")[0])
         body = [n for n in node.body[1:] if not isinstance(n, ast.Pass)]
-        names = [x for n in body for x in ast.walk(n) if isinstance(x, ast.Name) and isinstance(x.ctx, ast.Store)]
-        local = list(dict.fromkeys(_c_name(x.id) for x in names if x.id not in (*arguments, "j")))
-        lines = [
-            f"/* {text} */",
-            f"{returned} {self.name}_{node.name}({', '.join(kinds.get(a, f'double {a}') for a in arguments)})",
-            "{",
-        ]
-        lines += [f"    double {name} = 0.0;" for name in local]
-        if any(isinstance(x, ast.For) for n in body for x in ast.walk(n)):
-            lines.append("    int j;")
-        written = self.statements(body, comments)
-        lines += ["", *(f"    (void)({name});" for name in (*arguments, *local)), *written]
+        local = self.locals(node)
+        name = f"static {returned} {node.name.lstrip('_')}" if own else f"{returned} {self.name}_{node.name}"
+        lines = [f"/* {text} */", f"{name}({', '.join(arguments)})", "{"]
+        lines += [f"    {kind.strip(' *')} {'*' * ('*' in kind)}{_c_name(x)} = 0;" for x, kind in local.items()]
+        unused = () if own else (*(arg.arg for arg in node.args.args), *local)
+        lines += ["", *(f"    (void)({_c_name(name)});" for name in unused), *self.statements(body, comments)]
         return [*lines, "}", ""]
+
+    def called(self, nodes: Iterable[ast.FunctionDef]) -> list[str]:
+        """Return the functions that kernels call: those that C lacks, and the runtime's, each before its callers."""
+        found: set[str] = set()
+        todo = {name for node in nodes for name in _called(node)}
+        while todo - found:
+            found |= todo
+            todo = {each for name in todo & self.runtime.keys() for each in _called(self.runtime[name])}
+        lines = [text for name, text in _BUILT_IN.items() if name in {_CALLS.get(each) for each in found}]
+        return lines + ["\n".join(self.function(node, {})) for name, node in self.runtime.items() if name in found]
+
+
+def _annotated(annotation: ast.expr | None) -> str:
+    """Return the type of an argument that is a number; another one's annotation."""
+    text = ast.unparse(annotation or ast.Name("Any"))
+    return "double" if text == "float" else text
+
+
+def _pairs(node: ast.Assign) -> list[tuple[ast.expr, ast.expr]]:
+    """Return targets and values of an assignment."""
+    target, value = node.targets[0], node.value
+    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+        return list(zip(target.elts, value.elts, strict=True))
+    return [(target, value)]
+
+
+def _measured(node: ast.FunctionDef) -> list[str]:
+    """Return the arguments whose length a kernel asks for."""
+    calls = [x for x in ast.walk(node) if isinstance(x, ast.Call) and ast.unparse(x.func) == "len"]
+    return list(dict.fromkeys(ast.unparse(x.args[0]) for x in calls))
 
 
 def _bare(text: str) -> str:
@@ -431,12 +396,9 @@ def c_source(loaded: Loaded, name: str) -> str:
     translator = _Translator(prefix, tables)
     lines = generated.source.splitlines()
     comments = {k + 1: f"  /*{_plain(line.rpartition('#')[2])} */" for k, line in enumerate(lines) if "  # " in line}
-    functions: list[str] = []
-    for node in ast.parse(generated.source).body:
-        if isinstance(node, ast.FunctionDef):
-            functions += translator.function(node, comments)
-    text = "\n".join(functions)
-    used = [helper for call, helper in _HELPERS.items() if f"{call}(" in text]
+    kernels = _functions(generated.source).values()
+    text = "\n".join(line for node in kernels for line in translator.function(node, comments))
+    used = translator.called(kernels)
     check = r.model.by_name[r.consistency].relation
     head = [
         "/*",

@@ -39,33 +39,10 @@ class Loaded:
     start: Callable[[Any, Any, Any], None]
     step: Callable[[Any, Any, Any, float], float]
 
-    def prepare(
-        self,
-        c: np.void,
-        *,
-        values: Mapping[str, float] | None = None,
-        filter_bandwidth: float = 0.5,
-        derivative_bandwidth: float = 10.0,
-    ) -> None:
-        """Fill a record of the constants.
-
-        Args:
-            values: values of parameters instead of the model's.
-            filter_bandwidth: alpha of (20) [rad/s].
-            derivative_bandwidth: of the filters that differentiate [rad/s].
-
-        Raises:
-            ValueError: a parameter has no value, or there is no such parameter.
-        """
+    def prepare(self, c: np.void, *, values: Mapping[str, float] | None = None, **bandwidths: float) -> None:
+        """Fill a record of the constants, as :func:`.records.fill` does; carried states begin at their values."""
         realisation = self.generated.realisation
-        fill(
-            c,
-            realisation.model,
-            values=values,
-            start=realisation.carried,
-            filter_bandwidth=filter_bandwidth,
-            derivative_bandwidth=derivative_bandwidth,
-        )
+        fill(c, realisation.model, values=values, start=realisation.carried, **bandwidths)
 
     def over(self, s: np.void, c: np.void, rows: NDArray[np.void], steps_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the residual of samples, and advance the states.

@@ -75,7 +75,7 @@ def _multiply(a: f8s, b: f8s, to: f8s, n: int) -> None:
 
 
 @kernel
-def _exponentials(z: f8s, phi: f8s, space: f8s, n: int) -> None:
+def exponentials(z: f8s, phi: f8s, space: f8s, n: int) -> None:
     """Write phi0, phi1, phi2 of a matrix: Taylor's series of what is scaled to 1/2, then doubled again.
 
         phi2(2 z) = (phi0 phi2 + phi1 + phi2) / 4,   phi1(2 z) = (phi0 phi1 + phi1) / 2,   phi0(2 z) = phi0 phi0
@@ -147,7 +147,7 @@ def advance(jacobian: f8s, slopes: f8s, hold: f8s, dt: float) -> None:
             hold[i] = z
             same = False
     if not same:
-        _exponentials(hold[:size], hold[size : 4 * size], hold[4 * size :], n)
+        exponentials(hold[:size], hold[size : 4 * size], hold[4 * size :], n)
     for i in range(n):
         moved = 0.0
         for j in range(n):

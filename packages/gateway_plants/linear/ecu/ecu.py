@@ -14,8 +14,8 @@ from gateway.bus.frames import Frames, empty
 from gateway.signals import frame_encoding as encode
 from gateway.signals.database import Database, load_database
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu, injected
-from gateway_fdi.common.resources import all_shipped, shipped
-from gateway_fdi.errors import InputError, nearest, under
+from gateway_fdi.common.resources import find, shipped
+from gateway_fdi.errors import InputError, under
 from gateway_plants.linear.ecu.params import LinearFault, LinearParams
 from gateway_plants.linear.ecu.plant import simulate
 
@@ -85,21 +85,9 @@ def _fits(params: LinearParams, fault: LinearFault) -> None:
 
 def _locate(params: LinearParams, folder: Path, key: str) -> LinearParams:
     """Return the parameters with the path of their database: beside the scenario, else among the shipped."""
-    database = params.database
-    if database is None:
+    if params.database is None:
         return params
-    found = folder / database
-    if not found.exists():
-        try:
-            found = shipped(str(database))
-        except InputError:
-            known = [f"dbc/{path.name}" for path in all_shipped("dbc", ".dbc")]
-            raise InputError(
-                f"no such file beside the scenario, and the gateway comes with {', '.join(known)} only"
-                f"{nearest(str(database), known)}",
-                key=f"{key}.database",
-                value=str(database),
-            ) from None
+    found = find(params.database, folder, "dbc", ".dbc", beside="the scenario", key=f"{key}.database")
     return params.model_copy(update={"database": found})
 
 

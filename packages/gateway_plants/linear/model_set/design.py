@@ -22,7 +22,7 @@ from gateway_plants.linear.model_set.filters import (
     Const,
 )
 from gateway_plants.linear.model_set.matrices import MOST_ENTRIES
-from gateway_plants.linear.pi_bank.design import Noise
+from gateway_plants.linear.pi_bank.design import Noise, rank_without
 
 Array = NDArray[np.float64]
 
@@ -61,6 +61,7 @@ class Told:
         left_out: sensors without which the plant is still observable: they may be at fault in any way.
         gains: by how much each sensor's gain may be off, a share, shape (p,).
         biases: and each sensor's offset, shape (p,).
+        offsets: of healthy actuators, shape (m,).
         lags: and by how many periods each sensor may be late or early, shape (p,).
         counted: commands have counters.
     """
@@ -76,6 +77,7 @@ class Told:
     left_out: tuple[int, ...]
     gains: Array
     biases: Array
+    offsets: Array
     lags: Array
     counted: bool
 
@@ -117,7 +119,7 @@ def prepare(c: Const, told: Told) -> None:
     nothing = np.zeros(m)
     fault = FAULT_SIZE * offsets
     more = [*([told.gains] if c.gains else []), *([told.lags] if c.lag else [])]
-    prior = [told.entries.bound, OFFSET_SIZE * told.actuator, nothing, told.biases, *more]
+    prior = [told.entries.bound, told.offsets, nothing, told.biases, *more]
     c.prior[: c.total - n] = np.concatenate(prior) ** 2
     times = np.repeat(
         [AGEING_S, OFFSET_S, np.inf, OFFSET_S, *([WARMING_S] * len(more))], [q, m, m, p, *([p] * len(more))]
@@ -172,9 +174,6 @@ def isolable(plant: LinearPlant) -> tuple[int, ...]:
         c = plant.without(j)
         if len(c) < m or np.linalg.matrix_rank(observability(plant.phi, c), tol=1e-10) < n:
             continue
-        block = np.zeros((n + len(c), n + m))
-        block[:n, :n], block[:n, n:], block[n:, :n] = plant.phi - np.eye(n), plant.gamma, c
-        block /= np.maximum(np.abs(block).max(axis=1, keepdims=True), 1e-300)
-        if np.linalg.matrix_rank(block, tol=1e-9) == n + m:
+        if rank_without(plant, j) == n + m:
             found.append(j)
     return tuple(found)

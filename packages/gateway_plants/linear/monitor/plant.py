@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import inf, isnan
+from math import inf, isnan, nan
 from typing import Annotated, Self
 
 import numpy as np
@@ -15,15 +15,17 @@ from gateway.monitors.contract import Connection, MonitorParams, Signal
 from gateway.monitors.sampling import Sampling
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.jit import Record, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import copy
 from gateway_fdi.structure.units import differ
 from gateway_plants.linear.mathematics.plant import LinearPlant, discretised
+from gateway_plants.linear.model_set import alignment
 from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 
 Matrix = tuple[tuple[float, ...], ...]
 
 #: Why a sample is not judged: the state is being found (start, gap); a change has been seen and not been isolated yet;
-#: a command was lost; no part explains what came; samples were lost, and the observer has not settled since.
-FINDING, UNDECIDED, COMMAND, AMBIGUOUS, SETTLING = 1, 2, 3, 4, 5
+#: a command was lost; no part explains what came.
+FINDING, UNDECIDED, COMMAND, AMBIGUOUS = 1, 2, 3, 4
 #: Samples missing in a row over which a plant is predicted; behind more of them it is found anew.
 MOST_MISSING = 5
 
@@ -47,6 +49,7 @@ class Const(Record):
 
     period_ns: i8 = means("period of the samples", "ns")
     inputs: i8 = means("commands")
+    outputs: i8 = means("sensors")
     completing: i8 = means("the message that completes a sample, by its place in it")
     timed: i8 = means("1: all commands come in one message, whose counter says when each was due")
     command_counted: Annotated[i8s, MOST_INPUTS] = means("1: the command's message has an alive counter")
@@ -75,6 +78,18 @@ class State(Record):
     u: Annotated[f8s, MOST_INPUTS] = means("what holds from the present sample on")
     unsure: Annotated[i8s, MOST_INPUTS] = means("1: the frame that would say so is lost")
     gap: i8 = means("1: a command that is not cyclic was lost, some time since it was heard last")
+
+
+class Watched(Record):
+    """What the state of a monitor has of its samples."""
+
+    sampling: State = means("samples off the bus")
+    y: Annotated[f8s, MOST_OUTPUTS] = means("readings of the sample; NaN: it did not come")
+    missing: i8 = means("samples that did not come")
+    restarts: i8 = means("times that all began anew")
+    commands_lost: i8 = means("samples whose command did not come")
+    untested: i8 = means("samples that were not judged")
+    reason: i8 = means("why the last sample was not judged: FINDING to AMBIGUOUS; 0: it was")
 
 
 class Inputs(contract.SampledInputs):
@@ -266,7 +281,8 @@ def samplings(p: PlantParams) -> tuple[Sampling, Sampling]:
 
 def prepare(c: Const, p: PlantParams) -> None:
     """Fill a record of Const."""
-    c.period_ns, c.inputs, c.completing = round(p.sample_ms * 1e6), len(p.input), len(_samples(p)) - 1
+    c.period_ns, c.inputs, c.outputs = round(p.sample_ms * 1e6), len(p.input), len(p.output)
+    c.completing = len(_samples(p)) - 1
     c.timed = bool(_timed(p))
     c.command_counted[: c.inputs] = [part.counter is not None for part in p.input]
 
@@ -302,6 +318,16 @@ def command(s: State, c: Const, u: Inputs) -> bool:
         s.heard[j] += 1
         s.since[j] += 1
     return True
+
+
+@kernel
+def late(s: State, c: Const, aligned: alignment.State, waits: alignment.Const) -> None:
+    """Take commands that come behind their samples, which wait for them."""
+    for i in range(c.inputs):
+        if s.late[i] > 0:
+            value = s.value[i, (s.heard[i] - 1) % KEPT]
+            alignment.late(aligned, waits, i, value, s.late[i] - 1)
+            s.late[i] = 0
 
 
 @kernel
@@ -368,20 +394,35 @@ def commands(s: State, c: Const, u: Inputs, at: int) -> None:
 
 
 @kernel
-def command_lost(s: State, c: Const, u: Inputs, at: int) -> bool:
-    """Find the commands of a sample as :func:`commands` does; tells whether one is lost."""
-    commands(s, c, u, at)
-    for j in range(c.inputs):
-        if s.unsure[j] == 1:
-            return True
-    return False
+def begin_anew(s: Watched, steps: int) -> bool:
+    """Take a sample that is so many samples further; tells whether too many are missing to predict the plant."""
+    s.reason = 0
+    lost = steps - 1 > MOST_MISSING or s.sampling.gap == 1
+    s.restarts += 1 if lost else 0
+    return bool(lost)
 
 
 @kernel
-def heard_all(s: State, c: Const) -> None:
-    """Begin to wait for the next sample's commands."""
-    s.since[:] = 0
-    s.gap = 0
+def take(s: Watched, c: Const, u: Inputs, at: int, came: bool) -> None:
+    """Find readings and commands of a sample, ``at`` samples behind the one before; it came, or it is predicted."""
+    commands(s.sampling, c, u, at)
+    lost = 0
+    for j in range(c.inputs):
+        lost = max(lost, s.sampling.unsure[j])
+    s.commands_lost += lost
+    if came:
+        copy(s.y, u.y, c.outputs)
+    else:
+        s.missing += 1
+        s.y[:] = nan
+
+
+@kernel
+def taken(s: Watched) -> None:
+    """Count a sample that was not judged, and begin to wait for the next one's commands."""
+    s.untested += 1 if s.reason > 0 else 0
+    s.sampling.since[:] = 0
+    s.sampling.gap = 0
 
 
 @kernel

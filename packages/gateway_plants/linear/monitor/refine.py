@@ -28,11 +28,7 @@ NOISY = 1.1
 
 def wanted(p: UncertainPlantParams) -> Mapping[str, Any]:
     """Return the keys with which logs are replayed: in which nothing is judged, and all is learned."""
-    return {
-        "model_error": UNTOLD if p.model_error is None else p.model_error,
-        "poles": None,
-        "learning": True,
-    }
+    return {"model_error": UNTOLD if p.model_error is None else p.model_error, "learning": True}
 
 
 def found(p: UncertainPlantParams, s: Any) -> Refined:
@@ -58,7 +54,6 @@ def found(p: UncertainPlantParams, s: Any) -> Refined:
     samples = max(int(s.models.fitted), 1)
     fit = float(s.models.fit) / samples / p.plant.outputs
     keys: dict[str, Any] = {
-        "poles": None,
         "a": whole[:, :n].tolist(),
         "b": whole[:, n : n + m].tolist(),
         "model_error": {"a": bounds[:, :n].tolist(), "b": bounds[:, n : n + m].tolist()},

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -26,14 +28,10 @@ class ModelError(StrictModel):
     b: float | Matrix = Field(0.05, description="likewise of b")
 
 
-def _bias(part: Output) -> float:
-    """Return the bias that a sensor may have, in its unit."""
-    told = None if part.accuracy is None else part.accuracy.bias
-    return OFFSET_SIZE * part.limit if told is None else told.value
-
-
 class UncertainPlantParams(PlantParams):
     """A linear plant, and how well it is known."""
+
+    moved: ClassVar[Mapping[str, str]] = {"poles": "gains are Kalman's, from noise and state_noise; leave the key out"}
 
     model_error: float | ModelError | None = Field(
         None,
@@ -67,10 +65,21 @@ class UncertainPlantParams(PlantParams):
             self.sensor_limits,
             isolable(self.plant),
             np.array([0.0 if part.accuracy is None else part.accuracy.gain or 0.0 for part in self.output]),
-            np.array([_bias(part) for part in self.output]),
+            np.array([self._bias(part) for part in self.output]),
+            self.usual_offset * self.actuator_limits,
             self.lags,
             self.counted,
         )
+
+    @property
+    def usual_offset(self) -> float:
+        """Offset of a healthy sensor or actuator of which nothing is told, in its threshold."""
+        return OFFSET_SIZE
+
+    def _bias(self, part: Output) -> float:
+        """Return the bias that a sensor may have, in its unit."""
+        told = None if part.accuracy is None else part.accuracy.bias
+        return self.usual_offset * part.limit if told is None else told.value
 
     @property
     def counted(self) -> bool:
@@ -100,21 +109,11 @@ class UncertainPlantParams(PlantParams):
         """Th_s."""
         return np.array([part.limit for part in self.output])
 
-    def check_observable(self) -> None:
-        """Raise ValueError if the sensors do not show the whole plant."""
+    def check_filters(self) -> None:
+        """Raise ValueError if there can be no filters with the plant's errors as slow states."""
         hidden = unobservable(self.plant.phi, self.plant.c, self.states)
         if hidden:
             raise ValueError(f"the sensors do not show {hidden}")
-
-    def check_filters(self, *, poles: bool) -> None:
-        """Raise ValueError if there can be no filters with the plant's errors as slow states.
-
-        Args:
-            poles: the user has given poles.
-        """
-        self.check_observable()
-        if poles:
-            raise ValueError('poles: with model_error (or logic = "models") gains are Kalman\'s; leave poles out')
         if self.lags.max() > MOST_LAG:
             raise ValueError(f"accuracy.lag: at most {MOST_LAG} samples, {MOST_LAG * self.sample_ms:g} ms")
         if len(self.entries) > MOST_ENTRIES:

@@ -55,8 +55,7 @@ def prepare(c: Const, plant: LinearPlant, bank: tuple[Observer, ...]) -> None:
     c.gamma[:n, :m] = plant.gamma
     c.c[:p, :n] = plant.c
     for k, observer in enumerate(bank):
-        rows = [j for j in range(p) if j != observer.left_out]
-        c.gain[k][: len(observer.gain.gain), rows] = observer.gain.gain
+        c.gain[k][: n + m, observer.rows] = observer.gain.gain
 
 
 @kernel

@@ -88,12 +88,11 @@ def prepare(c: Const, s: State, plant: LinearPlant, bank: tuple[Observer, ...], 
         bank: its observers.
         largest: standard deviation of each actuator's faults, beforehand; shape (m,).
     """
-    n, m, p = plant.states, plant.inputs, plant.outputs
+    n, m = plant.states, plant.inputs
     phi = augmented(plant)
     c.prior[:m] = 1.0 / largest**2
     for k, observer in enumerate(bank):
-        rows = [j for j in range(p) if j != observer.left_out]
-        shown = np.hstack([plant.c[rows], np.zeros((len(rows), m))])
+        rows, shown = observer.rows, observer.shown
         f = phi - observer.gain.gain @ shown
         weight = np.linalg.inv(observer.gain.innovation)
         c.inverse_v[k][np.ix_(rows, rows)] = weight

@@ -43,6 +43,8 @@ from gateway_plants.linear.pi_bank.design import Noise, Observer, augmented
 
 #: No sensor.
 NONE = -1
+#: Samples in a row beyond a threshold, for an actuator's fault.
+PERSISTENCE = 3
 #: Samples in which a lost command is estimated.
 BLIND = 4
 #: Samples until what cannot be isolated is called so.
@@ -76,7 +78,6 @@ class Const(Record):
     sure: f8 = means("quantile beyond which an estimate is no noise")
     window_alarm: f8 = means("largest log likelihood ratio of the window, doubled")
     sample_alarm: Annotated[f8s, BANK] = means("largest energy of a sample, by observer")
-    persistence: i8 = means("samples in a row beyond a threshold, for an actuator's fault", "samples")
     hold: i8 = means("samples after which a sensor's fault is gone", "samples")
 
 
@@ -108,9 +109,7 @@ class State(Record):
 
 def settled(plant: LinearPlant, observer: Observer) -> float:
     """Return the time in which an observer forgets [s]."""
-    rows = [j for j in range(plant.outputs) if j != observer.left_out]
-    shown = np.hstack([plant.c[rows], np.zeros((len(rows), plant.inputs))])
-    poles = np.linalg.eigvals(augmented(plant) - observer.gain.gain @ shown)
+    poles = np.linalg.eigvals(augmented(plant) - observer.gain.gain @ observer.shown)
     return plant.period / max(1.0 - float(np.abs(poles).max()), 1e-6)
 
 
@@ -126,7 +125,6 @@ def prepare(
     mtfa_s: float,
     start_s: float,
     hold_s: float,
-    persistence: int = 3,
     known: bool = False,
 ) -> None:
     """Fill records of CONST and STATE.
@@ -139,7 +137,6 @@ def prepare(
         mtfa_s: mean time between false alarms that is asked for [s].
         start_s: time in which nothing is judged [s].
         hold_s: a sensor's fault is gone when it has been for so long [s].
-        persistence: samples in a row.
         known: the plant begins in state 0 without a fault.
 
     Raises:
@@ -167,7 +164,6 @@ def prepare(
     c.window_alarm = chi2_above(min(plant.period / mtfa_s, 0.01), m)
     for k in range(p + 1):
         c.sample_alarm[k] = chi2_above(min(plant.period / mtfa_s, 0.01), p if k == 0 else p - 1)
-    c.persistence = persistence
     c.hold = max(round(hold_s / plant.period), 1)
     s.latched = NONE
 
@@ -322,7 +318,7 @@ def _set_flags(s: State, c: Const, y: f8s) -> None:
         s.count[i] = s.count[i] + 1 if sure else 0
         s.open_question[i] = s.open_question[i] + 1 if beyond and not sure and s.actuator[i] == 0 else 0
         quiet = s.jump.open[k] == 0 and abs(value) < 0.5 * limit
-        if s.count[i] >= c.persistence:
+        if s.count[i] >= PERSISTENCE:
             s.actuator[i] = 1
         elif quiet or abs(value) + GONE * std < c.actuator[i]:
             s.actuator[i] = 0

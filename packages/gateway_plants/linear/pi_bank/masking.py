@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway_plants.linear.mathematics.plant import LinearPlant
+from gateway_plants.linear.pi_bank.design import steady
 
 Array = NDArray[np.float64]
 
@@ -40,17 +41,11 @@ class Masked:
 
 def stationary(plant: LinearPlant) -> Array:
     """Return G, shape (p, p, m): stationary fault of observer k for 1 of sensor j's; 0 for k = j."""
-    n, m, p = plant.states, plant.inputs, plant.outputs
-    moved = np.zeros((p, p, m))
+    n, p = plant.states, plant.outputs
+    moved = np.zeros((p, p, plant.inputs))
     for k in range(p):
-        rows = [j for j in range(p) if j != k]
-        block = np.zeros((n + p - 1, n + m))
-        block[:n, :n], block[:n, n:] = plant.phi - np.eye(n), plant.gamma
-        block[n:, :n] = plant.c[rows]
-        for place, j in enumerate(rows):
-            right = np.zeros(n + p - 1)
-            right[n + place] = 1.0
-            moved[k, j] = np.linalg.lstsq(block, right, rcond=None)[0][n:]
+        shown = np.eye(n + p - 1)[:, n:]
+        moved[k, [j for j in range(p) if j != k]] = np.linalg.lstsq(steady(plant, k), shown, rcond=None)[0][n:].T
     return moved
 
 

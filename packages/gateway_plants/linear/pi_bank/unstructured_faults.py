@@ -60,15 +60,15 @@ class State(Record):
     work: Annotated[f8s, MOST] = means("scratch")
 
 
-def _design(plant: LinearPlant, noise: Noise, rows: list[int], threshold: np.ndarray, slow: int) -> Gain:
-    """Return a filter of the sensors ``rows``, all actuators free but ``slow`` (-1: none is slow)."""
+def _design(plant: LinearPlant, noise: Noise, observer: Observer, threshold: np.ndarray, slow: int) -> Gain:
+    """Return a filter of the sensors of an observer, all actuators free but ``slow`` (-1: none is slow)."""
     q, r = covariances(plant, noise)
-    c = np.hstack([plant.c[rows], np.zeros((len(rows), plant.inputs))])
+    own = r[np.ix_(observer.rows, observer.rows)]
     free = plant.states + np.array([i for i in range(plant.inputs) if i != slow], np.int64)
     for any_ in ANY:
         q[free, free] = (any_ * threshold[free - plant.states]) ** 2
         try:
-            return from_noise(augmented(plant), c, q, r[np.ix_(rows, rows)])
+            return from_noise(augmented(plant), observer.shown, q, own)
         except ValueError:
             if any_ == ANY[-1]:
                 raise
@@ -77,12 +77,12 @@ def _design(plant: LinearPlant, noise: Noise, rows: list[int], threshold: np.nda
 
 def prepare(c: Const, plant: LinearPlant, noise: Noise, observers: tuple[Observer, ...], threshold: np.ndarray) -> None:
     """Fill a record of CONST; ``threshold``: of the actuators' faults, shape (m,)."""
-    n, m, p = plant.states, plant.inputs, plant.outputs
+    n, m = plant.states, plant.inputs
     c.filters = 1 + m if m > 1 else 1  # of one actuator the bank's own observer is the filter 1
     for k, observer in enumerate(observers):
-        rows = [j for j in range(p) if j != observer.left_out]
+        rows = observer.rows
         for f in range(c.filters):
-            gain = _design(plant, noise, rows, threshold, f - 1)
+            gain = _design(plant, noise, observer, threshold, f - 1)
             c.gain[k][f][: n + m, rows] = gain.gain
             c.inverse_v[k][f][np.ix_(rows, rows)] = np.linalg.inv(gain.innovation)
             if f > 0:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway_fdi.jit import kernel, zeros
-from gateway_fdi.linear_algebra import copy, dot, minus, plus
+from gateway_fdi.jit import zeros
 from gateway_plants.linear.arrays import Found, walk
 from gateway_plants.linear.ecu.params import LinearFault, LinearParams, Swing
 from gateway_plants.linear.ecu.plant import simulate
@@ -90,45 +89,6 @@ def run(faults: tuple[LinearFault, ...], noise_std: float, rng: np.random.Genera
     return walk(*records(1.0, known=True), y, u)
 
 
-@kernel
-def _long(
-    s: Any,
-    c: Any,
-    phi: Any,
-    gamma: Any,
-    feedback: Any,
-    first: int,
-    noise: Any,
-    scratch: Any,
-    seen: Any,
-) -> None:
-    """Fly healthy from sample ``first`` on; counts flags that go up in ``seen``, and samples judged.
-
-    ``noise`` of the sensors, shape (samples, 3); ``scratch``, shape (4, 4), begins with the state of the plant.
-    """
-    x, after, y, u = scratch[0], scratch[1], scratch[2], scratch[3]
-    for t in range(noise.shape[0]):
-        for j in range(3):
-            y[j] = x[j] + noise[t, j]
-        for i in range(2):
-            u[i] = minus(0.5 * np.sin(0.03 * (first + t) * (1.0 + 0.6 * i)), feedback[i], x, 4)
-        before_0, before_1, confirmed, lost = (
-            s.actuator[0],
-            s.actuator[1],
-            s.suspect.confirmed,
-            s.unexplained,
-        )
-        isolation.step(s, c, y, u)
-        seen[0] += 1 if s.actuator[0] > before_0 else 0
-        seen[1] += 1 if s.actuator[1] > before_1 else 0
-        seen[2] += 1 if s.suspect.confirmed > confirmed else 0
-        seen[3] += 1 if s.unexplained > lost else 0
-        seen[4] += s.tested
-        for i in range(4):
-            after[i] = plus(dot(phi[i], x, 4), gamma[i], u, 2)
-        copy(x, after, 4)
-
-
 @dataclass(frozen=True)
 class Quiet:
     """A healthy flight.
@@ -147,12 +107,22 @@ class Quiet:
 
 
 def quiet(sigma: float, hours: float, seed: int) -> Quiet:
-    """Fly healthy with moving commands, and count the alarms."""
-    plant, seen = example.plant(), np.zeros(5, np.int64)
-    count = round(hours * 3600 / example.PERIOD)
-    s, c = records(5.0, known=False)
-    rng, scratch, feedback = np.random.default_rng(seed), np.zeros((4, 4)), np.array(FEEDBACK)
+    """Fly healthy with moving commands, and count the alarms: flags that go up."""
+    plant, feedback, rng = example.plant(), np.array(FEEDBACK), np.random.default_rng(seed)
+    count, judged, alarms = round(hours * 3600 / example.PERIOD), 0, 0
+    bank, x = records(5.0, known=False), np.zeros(plant.states)
+    before: Any = np.zeros((1, 4), np.int64)
+    closed = plant.phi - plant.gamma @ feedback
     for first in range(0, count, PORTION):
-        noise = rng.normal(0.0, sigma, (min(PORTION, count - first), 3))
-        _long(s, c, plant.phi, plant.gamma, feedback, first, noise, scratch, seen)
-    return Quiet(sigma, float(seen[4]) * example.PERIOD / 3600, int(seen[:4].sum()), seed)
+        k = np.arange(first, min(first + PORTION, count))
+        asked = 0.5 * np.sin(0.03 * k[:, None] * np.array([1.0, 1.6]))
+        states = np.empty((len(k), plant.states))
+        for t, demand in enumerate(asked @ plant.gamma.T):
+            states[t] = x
+            x = closed @ x + demand
+        y = states @ plant.c.T + rng.normal(0.0, sigma, (len(k), plant.outputs))
+        found = walk(*bank, y, asked - states @ feedback.T)
+        flags = np.column_stack([found.actuators, found.sensors.any(axis=1), found.unexplained])
+        alarms += int((np.diff(flags, axis=0, prepend=before) > 0).sum())
+        judged, before = judged + int(found.tested.sum()), flags[-1:]
+    return Quiet(sigma, judged * example.PERIOD / 3600, alarms, seed)

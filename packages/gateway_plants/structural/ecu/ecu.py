@@ -15,8 +15,9 @@ from gateway.common.extras import need
 from gateway.signals.database import load_database
 from gateway.signals.frame_encoding import sent
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
+from gateway_fdi.common.resources import find
 from gateway_fdi.errors import InputError, nearest, under
-from gateway_fdi.structure.file import find_model, load_own_model
+from gateway_fdi.structure.file import load_own_model
 from gateway_fdi.structure.model import Model, Quantity
 from gateway_fdi.structure.units import differ
 from gateway_plants.structural.ecu.params import (
@@ -182,7 +183,7 @@ def _frames(params: StructuralParams, faults: Sequence[StructuralFault], run: Ru
 
 def _locate(params: StructuralParams, folder: Path, key: str) -> StructuralParams:
     """Return the parameters with the path of the model: beside the scenario, else among the shipped."""
-    found = find_model(params.model, folder, beside="the scenario", key=f"{key}.model")
+    found = find(params.model, folder, "models", ".toml", beside="the scenario", key=f"{key}.model")
     return params.model_copy(update={"model": found})
 
 

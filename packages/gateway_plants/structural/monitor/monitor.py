@@ -30,10 +30,11 @@ from gateway.monitors.contract import (
 from gateway_checks.rule.machine import load
 from gateway_checks.rule.program import Program
 from gateway_checks.rule.text import compile_text, is_relation
+from gateway_fdi.common.resources import find
 from gateway_fdi.cusum import MARGIN, NEVER
 from gateway_fdi.errors import Gathered, InputError, under
 from gateway_fdi.masks import pack
-from gateway_fdi.structure.file import find_model, load_own_model
+from gateway_fdi.structure.file import load_own_model
 from gateway_fdi.structure.generator.records import FEED, FEED_SLOPE, fill
 from gateway_fdi.structure.generator.sources import load_source
 from gateway_fdi.structure.model import Model, with_sizes
@@ -364,7 +365,7 @@ def made(p: Params, folder: Path) -> Monitor[Params]:
     if p.between == "interpolated" and p.max_age_ms is not None and p.max_age_ms > p.most_between_ms:
         text = f"with period_ms = {p.period_ms:g} at most {p.most_between_ms:g} can be interpolated over"
         raise InputError(text, key="max_age_ms", value=f"{p.max_age_ms:g}")
-    path = find_model(p.model, folder, beside="the configuration", key="model")
+    path = find(p.model, folder, "models", ".toml", beside="the configuration", key="model")
     model = load_own_model(path, key="model")
     asked = {
         "name": model.name, "tests": p.tests, "causality": p.causality, "unseen": sorted(p.unseen),

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import nan
 from typing import Annotated, Any
 
 from gateway.monitors.contract import (
@@ -49,25 +48,17 @@ class Const(Record):
     sampling: linear_plant.Const = means("samples off the bus")
     isolation: isolation.Const = means("decisions on the bank")
     models: decision.Const = means("with model_error: the model set")
-    alignment: alignment.Const = means("lags of the sensors")
     logic: i8 = means("which of them decides")
 
 
-class State(Record):
+class State(linear_plant.Watched):
     """State."""
 
-    sampling: linear_plant.State = means("samples off the bus")
     isolation: isolation.State = means("decisions on the bank")
     models: decision.State = means("with model_error: the model set")
     window: window.State = means("parity window of the last samples")
-    y: Annotated[f8s, bank.MOST_OUTPUTS] = means("readings of the sample; NaN: it did not come")
-    missing: i8 = means("samples that did not come")
-    restarts: i8 = means("times that all began anew")
     active: i8 = means("observer or hypothesis in use")
     sensor: i8 = means("sensor at fault; NONE: none")
-    commands_lost: i8 = means("samples whose command did not come")
-    untested: i8 = means("samples that were not judged")
-    reason: i8 = means("why the last sample was not judged, see Readout; 0: it was")
     nonlinear: i8 = means("1: with model_error: the plant's entries vary, it is not linear")
 
 
@@ -149,12 +140,12 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     linear_plant.prepare(c.sampling, p)
     c.logic = _LOGICS[p.decided_by]
     s.sensor = NONE
-    alignment.prepare(c.alignment, p.plant, p.lags, counted=p.counted)
     if c.logic == MODELS:
         times = {"mtfa_s": p.mtfa_s, "start_s": p.start_s, "hold_s": p.hold_s}
         task = decision.LEARNING if p.learning else decision.ISOLATING
         decision.prepare(s.models, c.models, p.told, patience_s=p.patience_s, task=task, **times)
         return
+    alignment.prepare(c.models.filters.alignment, p.plant, p.lags, counted=p.counted)
     isolation.prepare(
         c.isolation,
         s.isolation,
@@ -235,16 +226,13 @@ def _models(s: State, c: Const, out: Out[Evidence, Record]) -> None:
 @kernel
 def _one(s: State, c: Const, u: linear_plant.Inputs, at: int, came: bool, out: Out[Evidence, Record]) -> None:
     """Take one sample, ``at`` samples behind the one before; its outputs came, or it is predicted."""
-    if linear_plant.command_lost(s.sampling, c.sampling, u, at):
-        s.commands_lost += 1
+    linear_plant.take(s, c.sampling, u, at, came)
     x, a = s.isolation, s.models.filters.aligned
-    for j in range(c.isolation.bank.p if c.logic != MODELS else c.models.filters.p):
-        s.y[j] = u.y[j] if came else nan
     if c.logic == MODELS:
         _models(s, c, out)
         s.active = s.models.active
         return
-    there = alignment.align(a, c.alignment, s.y, s.sampling.u, s.sampling.unsure)
+    there = alignment.align(a, c.models.filters.alignment, s.y, s.sampling.u, s.sampling.unsure)
     if there:
         isolation.step(x, c.isolation, a.y, a.u)
     else:
@@ -269,29 +257,17 @@ def _one(s: State, c: Const, u: linear_plant.Inputs, at: int, came: bool, out: O
 
 
 @kernel
-def _late(s: State, c: Const) -> None:
-    """Take commands that come behind their samples."""
-    for i in range(c.sampling.inputs):
-        if s.sampling.late[i] > 0:
-            x, newest = s.sampling, (s.sampling.heard[i] - 1) % linear_plant.KEPT
-            alignment.late(s.models.filters.aligned, c.alignment, i, x.value[i, newest], x.late[i] - 1)
-            s.sampling.late[i] = 0
-
-
-@kernel
 def step(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record]) -> None:
     """Take one sample."""
     if u.trigger == TIMER:
         return
     if linear_plant.command(s.sampling, c.sampling, u):
-        _late(s, c)
+        linear_plant.late(s.sampling, c.sampling, s.models.filters.aligned, c.models.filters.alignment)
         return
     steps = linear_plant.samples(s.sampling, c.sampling, u)
     if steps == 0:
         return
-    s.reason = 0
-    if steps - 1 > linear_plant.MOST_MISSING or s.sampling.gap == 1:
-        s.restarts += 1
+    if linear_plant.begin_anew(s, steps):
         s.models.filters.aligned.begun = s.window.held = 0
         if c.logic == MODELS:
             decision.restart(s.models, c.models)
@@ -299,12 +275,9 @@ def step(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record])
             isolation.restart(s.isolation, c.isolation)
     else:
         for k in range(steps - 1):  # each with the command that held then
-            s.missing += 1
             _one(s, c, u, k + 1, False, out)
     _one(s, c, u, steps, True, out)
-    linear_plant.heard_all(s.sampling, c.sampling)
-    if s.reason > 0:
-        s.untested += 1
+    linear_plant.taken(s)
 
 
 def _warnings(p: Params) -> tuple[str, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from cmath import exp
 from collections.abc import Mapping
 from functools import cached_property
 from typing import ClassVar, Literal, Self
@@ -22,14 +21,10 @@ class Params(UncertainPlantParams):
     """A linear plant whose actuators and sensors are watched."""
 
     moved: ClassVar[Mapping[str, str]] = {
-        "logic = products": "the paper's own decision is in the study (gateway evaluate linear); use jumps"
+        **UncertainPlantParams.moved,
+        "logic = products": "the paper's own decision is in the study (gateway evaluate linear); use jumps",
     }
 
-    poles: tuple[float | tuple[float, float], ...] | None = Field(
-        None,
-        description="of each observer, n + m, continuous: -1.2, or [-1.0, 2.0] for one of a pair [1/s]; "
-        "default: Kalman's, from the noise",
-    )
     logic: Logic | None = Field(
         None,
         description="jumps: likelihood ratio on the innovations of the bank, latched; models: a filter for each fault, "
@@ -45,7 +40,7 @@ class Params(UncertainPlantParams):
     @model_validator(mode="after")
     def _bank_can_be_built(self) -> Self:
         if self.decided_by == "models":
-            self.check_filters(poles=self.poles is not None)
+            self.check_filters()
         else:
             check(self.plant, self.sensor_names, self.states)
             _ = self.observers
@@ -77,11 +72,7 @@ class Params(UncertainPlantParams):
     @cached_property
     def observers(self) -> tuple[Observer, ...]:
         """The bank."""
-        poles = None
-        if self.poles is not None:
-            given = [complex(*pole) if isinstance(pole, tuple) else complex(pole) for pole in self.poles]
-            poles = tuple(exp(pole * self.sample_ms * 1e-3) for pole in given)
-        return design(self.plant, self.noise, poles)
+        return design(self.plant, self.noise)
 
     @cached_property
     def windows(self) -> Windows | None:

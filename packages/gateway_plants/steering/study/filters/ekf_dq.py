@@ -16,38 +16,21 @@ The Park transform uses the sensor that is monitored, or, with ``own``, the filt
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 
 from gateway_fdi.filters import gaussian, motor
-from gateway_fdi.filters.gaussian import ENTRIES, STATES
 from gateway_fdi.filters.motor import Motor
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
+from gateway_fdi.jit import f8, kernel, means
 
 
-class Const(Record):
-    """Constants."""
-
-    motor: motor.Const = means("the motor")
-    n: i8 = means("states in use: 3, or 4 with the load")
-    steps: i8 = means("Euler sub-steps in a period")
-    h: f8 = means("length of a sub-step", "s")
-    q: Annotated[f8s, ENTRIES] = means("process noise of a sub-step")
-    r: f8 = means("variance of a current", "A^2")
-    start: Annotated[f8s, STATES] = means("variances at the start")
+class Const(gaussian.Const):
+    """Constants; 3 states are in use, or 4 with the load."""
 
 
-class State(Record):
-    """State."""
+class State(gaussian.State):
+    """State; ``x``: I_d, I_q [A], omega [rad/s], M [N m]."""
 
-    x: Annotated[f8s, STATES] = means("I_d, I_q [A], omega [rad/s], M [N m]")
-    p: Annotated[f8s, ENTRIES] = means("covariance of x")
-    f: Annotated[f8s, ENTRIES] = means("Jacobian F")
-    w: Annotated[f8s, ENTRIES] = means("room for products")
     theta: f8 = means("angle of its own, mechanical", "rad")
-    nis: f8 = means("normalised innovation squared")
-    started: i8 = means("1: it has begun")
 
 
 def prepare(
@@ -73,20 +56,15 @@ def prepare(
         wander: of the load's change in a second [N m]; unused without it.
         current: of a measured current [A].
     """
-    from filterpy.common import van_loan_discretization  # noqa: PLC0415 - slow to load
-
-    motor.prepare(c.motor, m)
     n = 4 if load else 3
-    c.n, c.steps, c.h, c.r = n, steps, period / steps, current**2
     a = np.zeros((n, n))
     a[0, 0], a[1, 1], a[1, 2] = -m.resistance / m.ld, -m.resistance / m.lq, -m.emf / m.lq
     a[2, 1], a[2, 2] = m.torque / m.inertia, -m.friction / m.inertia
-    noise = [voltage / m.ld, voltage / m.lq, torque / m.inertia]
-    intensity = np.sqrt(period)  # a mean over a step, as white noise
-    g = np.diag([x * intensity for x in noise] + [wander] * load)
     if load:
         a[2, 3] = -1.0 / m.inertia
-    c.q[: n * n] = van_loan_discretization(a, g, period / steps)[1].ravel()
+    intensity = np.sqrt(period)  # a mean over a step, as white noise
+    noise = [x * intensity for x in (voltage / m.ld, voltage / m.lq, torque / m.inertia)] + [wander] * load
+    c.q[: n * n] = gaussian.prepare(c, m, a, noise, period, steps, current).ravel()
     c.start[:n] = [1.0, 1.0, 100.0, 1.0][:n]
 
 
