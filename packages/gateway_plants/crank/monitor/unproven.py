@@ -60,8 +60,8 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         s.held.tooth = -1  # every place that is left has it, each at another tooth
         tell_held(s, MISSED if number > 0 else ADDED, out)
         if number > 0:  # the wheel's, which each turn says anew
-            d = report(out, DAMAGED, True, number, turns.BENT).damaged
-            d.tooth, d.off, d.speed = -1, number, s.held.speed
+            missing = report(out, DAMAGED, True, number, turns.BENT).damaged
+            missing.tooth, missing.off, missing.speed = -1, number, s.held.speed
             return
     elif (again or wrong_wheel.expected(s) or wrong_wheel.unsure(s, c)) and wa.pulses < LONG_PATIENCE * patience:
         return
