@@ -5,8 +5,8 @@ Each has to be accepted, unless a rotation maps it onto itself (found here by th
 within 6 turns after its places differ, with no wrong tooth proven.
 
 ``combinations``: two conditions at random on 12 wheels, through the frames of dbc/crank.dbc. Counted are the runs with
-a wrong tooth proven later than two turns behind an event, the later fault that was named, and reports that blame no
-part that is at fault.
+a wrong tooth proven later than two turns behind an event, the later fault that was named, reports that blame no part
+that is at fault, and runs whose reports together prove a healthy part as the cause, as the gateway counts causes.
 
 ``same``: the table of docs/crank/crank.md, wheels whose pulses are those of another one with defects.
 
@@ -30,15 +30,20 @@ import numpy as np
 
 from gateway.bus.frames import payload
 from gateway.engine.build import build_engine
+from gateway.engine.depends.monitors import OWN
+from gateway.engine.events import QUALIFIED_FAILED
 from gateway.engine.instances import MonitorInstance
 from gateway.monitors.contract import FAILED
 from gateway.signals.database import load_database
+from gateway_causes.causes import FALSE_ALARM
 from gateway_fdi.common.resources import shipped
+from gateway_fdi.diagnosis.diagnoser import Diagnoser
+from gateway_fdi.diagnosis.system import Component, Link, Test
 from gateway_plants.crank.ecu.kinematics import cam_edges, tooth_times
 from gateway_plants.crank.ecu.tooth_frames import WIRE_NS, cam_frames, tooth_frames
 from gateway_plants.crank.monitor import MONITOR, sync_state
 from gateway_plants.crank.monitor.candidate_wheels import MADE
-from gateway_plants.crank.monitor.faults import FAULTS
+from gateway_plants.crank.monitor.faults import BLAMES, FAULTS
 from gateway_plants.crank.monitor.monitor import Params
 from gateway_plants.crank.study import outside
 from gateway_plants.crank.study.follow import follower
@@ -237,6 +242,16 @@ def burst(run, at):
 
 KINDS = {f.__name__: f for f in (broken, bent, doubled, filled, loss, jitter, stamps, restart, reversal, cam, burst)}
 CONDITIONS = {"loss", "jitter", "stamps", "restart", "reversal"}
+#: Parts that are at fault; a pulse too many at one tooth of each turn is the sensor's, or the wheel's.
+AT_FAULT = {
+    "broken": {"wheel", "wheel configured"},
+    "bent": {"wheel", "wheel configured"},
+    "doubled": {"crankshaft sensor", "wheel", "wheel configured"},
+    "filled": {"crankshaft sensor", "wheel", "wheel configured"},
+    "burst": {"crankshaft sensor"},
+    "cam": {"cam sensor", "timing"},
+    "reversal": {"engine"},
+}
 
 
 @cache
@@ -244,6 +259,20 @@ def _parts():
     gateway = load_database([shipped("dbc/gateway.dbc")])
     sync = cantools.database.load_file(shipped("dbc/gateway.dbc")).get_message_by_name("GW_EngineSync")
     return load_database([shipped("dbc/crank.dbc")]), gateway.message("GW_EngineSync"), sync
+
+
+def proven_causes(failed):
+    """Return the parts that are certain as causes of failed tests, by what each blames."""
+    parts = {(one.part, one.kind) for blamed in BLAMES.values() for one in blamed}
+    tests = [
+        Test(name, tuple(Link(b.part, OWN * b.share) for b in blamed), FALSE_ALARM) for name, blamed in BLAMES.items()
+    ]
+    diagnoser = Diagnoser([Component(*part) for part in sorted(parts)], tests)
+    for name in failed:
+        if name in BLAMES:
+            diagnoser.update(name, FAILED, 0)
+    causes = [group.cause for group in diagnoser.diagnose()]
+    return {diagnoser.system.components[k].name for cause in causes if cause for k in cause.components}
 
 
 def _base(run, kinds):
@@ -304,8 +333,9 @@ def elsewhere(run):
 def one_run(job):
     """Return what happened in one run.
 
-    Its number, wheel, frame and conditions, wrong labels, if the later fault was named, other reports, all of them, and
-    whether the labels were wrong because nothing can tell the place (:func:`elsewhere`, a fault from key-on).
+    Its number, wheel, frame and conditions, wrong labels, if the later fault was named, other reports, all of them,
+    whether the labels were wrong because nothing can tell the place (:func:`elsewhere`, a fault from key-on), and
+    healthy parts that are proven as causes.
     """
     seed, number = job
     rng = np.random.default_rng([seed, number, 70])
@@ -331,9 +361,14 @@ def one_run(job):
     database, emission, sync = _parts()
     options = {"cam": HALF_MOON} if "cam" in kinds else {}
     monitor = MonitorInstance("crank", MONITOR, Params(wheel=run.wheel, frame=form, **options), emission=emission)
-    failed = Counter()
+    failed, qualified = Counter(), set()
+
+    def take(e):
+        failed.update(FAULTS[k].name for k in e["fault"][e["result"] == FAILED])
+        qualified.update(FAULTS[k].name for k in e["fault"][e["kind"] == QUALIFIED_FAILED])
+
     engine = build_engine([(0, database)], [monitor], [])
-    sent = engine.process(frames, lambda e: failed.update(FAULTS[k].name for k in e["fault"][e["result"] == FAILED]))
+    sent = engine.process(frames, take)
     last = np.searchsorted(ns, sent["t_ns"] - WIRE_NS[form], side="right") - 1
     teeth = frames["t_ns"][np.isin(frames["can_id"], (0x700, 0x703))]
     exact = (last >= 0) & np.isin(sent["t_ns"], teeth)
@@ -354,7 +389,8 @@ def one_run(job):
     if later not in CONDITIONS and run.wanted and came:
         named = bool(run.asked[later] & set(failed)) if later in run.asked else None
     others = sorted(set(failed) - run.allowed - {"frames_lost"})
-    return number, text, form, order, 0 if same else wrong, named, others, dict(failed), same
+    healthy = sorted(proven_causes(qualified) - set().union(*(AT_FAULT.get(kind, set()) for kind in order)))
+    return number, text, form, order, 0 if same else wrong, named, others, dict(failed), same, healthy
 
 
 def defects_of(told, real):
@@ -426,6 +462,7 @@ def main():
     print(f"  besides, with the pulses of the wheel at another place from key-on: {sum(row[8] for row in rows)}")
     print(f"later fault named: {sum(row[5] for row in asked)} of {len(asked)}")
     print(f"runs with a report that blames no part at fault: {sum(bool(row[6]) for row in rows)}")
+    print(f"runs with a healthy part proven as a cause: {sum(bool(row[9]) for row in rows)}")
     print("pair: runs, wrong, later fault named of those asked, runs with another report")
     for pair in sorted({tuple(sorted(row[3])) for row in rows}):
         of = [row for row in rows if tuple(sorted(row[3])) == pair]
@@ -436,6 +473,7 @@ def main():
         ("wrong", [row for row in rows if row[4]]),
         ("not named", [row for row in asked if not row[5]]),
         ("others", [row for row in rows if row[6]]),
+        ("healthy part proven", [row for row in rows if row[9]]),
     ):
         print(title, Counter(tuple(sorted(row[3])) for row in chosen).most_common(12))
         for row in chosen[: options.show]:

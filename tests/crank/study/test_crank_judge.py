@@ -111,6 +111,36 @@ def test_an_index_that_the_gap_puts_right_accuses_no_sensor(judge, number):
     assert judge.one_run((141421, number))[6] == []
 
 
+@pytest.mark.parametrize(
+    ("failed", "proven"),
+    [
+        (("sync_lost",), set()),
+        (("no_gap",), set()),
+        (("pulses_lost",), {"crankshaft sensor"}),
+        (("damaged_tooth", "sync_lost"), {"wheel"}),
+        (("damaged_tooth", "missed_pulse", "cam_correlation"), set()),
+        (("damaged_tooth", "sync_lost", "cam_correlation"), set()),
+    ],
+)
+def test_which_part_is_proven_by_what_fails(judge, failed, proven):
+    """A symptom of sensor and wheel alike proves neither, and a cam that moved is no crankshaft sensor's fault."""
+    assert judge.proven_causes(failed) == proven
+
+
+@compiled
+@pytest.mark.parametrize("number", [309, 1233])
+def test_a_tooth_that_each_turn_lacks_is_the_wheels_where_nothing_tells_which(judge, number):
+    row = judge.one_run((331199, number))
+    assert (row[6], row[9]) == ([], [])
+    assert {"missed_pulse", "damaged_tooth"} <= set(row[7])
+
+
+@compiled
+def test_no_gap_is_told_behind_two_places(judge):
+    """Why no place is proven was told already."""
+    assert set(judge.one_run((331199, 1321))[7]) == {"two_places"}
+
+
 def test_the_page_has_the_table_of_wheels_that_cannot_be_told(judge):
     assert "\n".join(judge.same_rows()) in (PATH.parents[1] / "docs/crank/crank.md").read_text()
     assert judge.defects_of(Wheel.parse("36-1"), Wheel.parse("36-2")) == (1, 0)

@@ -6,8 +6,7 @@ import pytest
 from gateway_fdi.jit import COMPILED
 from gateway_plants.crank.monitor.faults import ADDED, WRONG_WHEEL
 from gateway_plants.crank.study.follow import Followed
-from gateway_plants.crank.study.pairs import SPEEDS_RPM, WHEELS, Outcome, _judge, common, jobs, outcomes
-from gateway_plants.crank.wheel import Wheel
+from gateway_plants.crank.study.pairs import SPEEDS_RPM, WHEELS, Outcome, _judge, jobs, outcomes
 
 #: Of each kind: a gap that differs by a tooth, a second gap, another one where the first fits, a filled one, two turns
 #: in one, no regular interval, as many pitches in other places, a coarse wheel at the starter's speed.
@@ -23,23 +22,6 @@ def test_another_wheel_is_named_and_nothing_before_it(told, real):
     print("seed 44071")
     for row in outcomes((told, real, 1, 44071)):
         assert (row.named, row.runs, row.proven) == (1, 1, 0), row
-
-
-@pytest.mark.parametrize(
-    ("told", "real", "what"),
-    [
-        ("36-1", "36-2", "1 teeth missing"),
-        ("36-2", "36-1", "1 pulses too many"),
-        ("24-1", "12-1", "1 teeth missing"),
-        ("36-1", "36-2-1", "2 teeth missing"),
-        ("36-1", "36-2-2-2", None),
-        ("60-2", "30-2", "2 teeth missing"),
-        ("60-2", "36-1", None),
-        ("12-1", "24-1", None),
-    ],
-)
-def test_which_defect_gives_the_same_pulses(told, real, what):
-    assert common(Wheel.parse(told), Wheel.parse(real)) == what
 
 
 def test_what_is_not_named_alone_and_in_time_does_not_count():

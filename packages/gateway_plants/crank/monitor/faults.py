@@ -110,7 +110,7 @@ class Relocated(Record):
 class Damaged(Record):
     """Evidence of a tooth that is not where it belongs."""
 
-    tooth: f8 = means("tooth")
+    tooth: f8 = means("tooth; -1: one is missing in each turn, not told which")
     off: f8 = means("later than the others say; 1 and more: so many are missing", "pitch")
     speed: f8 = means(unit="rpm")
 
@@ -297,20 +297,24 @@ FAULTS = (
 )
 
 _SENSOR, _CAM = Blame("crankshaft sensor", "sensor"), Blame("cam sensor", "sensor")
-_WHEEL = Blame("wheel", "plant")
+_WHEEL, _CONFIGURED = Blame("wheel", "plant"), Blame("wheel configured", "model")
 
 #: What each fault blames. Lost frames are not named: their sender and all before it may be at fault.
 BLAMES = {
     **{fault.name: (_SENSOR,) for fault in FAULTS[:CRANK_FAULTS] if fault.name != "reversed"},
     # A broken tooth fails these, too, in the turns before it is known; sensors that drop a pulse are far more frequent.
     **dict.fromkeys(("missed_pulse", "added_pulse"), (_SENSOR, _WHEEL._replace(share=0.01))),
+    # What nothing explains, or shows no gap, may be the wheel as well.
+    "sync_lost": (_SENSOR, _WHEEL),
+    "no_gap": (_SENSOR, _WHEEL, _CONFIGURED),
     "reversed": (Blame("engine", "plant"),),
     "runout": (_WHEEL,),
-    "cam_correlation": (_CAM, Blame("timing", "plant"), _SENSOR._replace(share=0.2)),
+    # A place that is not proven judges no edge of the cam.
+    "cam_correlation": (_CAM, Blame("timing", "plant"), _SENSOR._replace(share=0.02)),
     "cam_silent": (_CAM,),
     "relocated": (_SENSOR,),
     "damaged_tooth": (_WHEEL,),
     "noise": (_SENSOR,),
     "two_places": (_WHEEL,),
-    "wrong_wheel": (_WHEEL, Blame("wheel configured", "model"), _SENSOR._replace(share=0.2)),
+    "wrong_wheel": (_WHEEL, _CONFIGURED, _SENSOR._replace(share=0.2)),
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
 from gateway_plants.crank.monitor import defects, no_gap, runout, turns, wrong_wheel
-from gateway_plants.crank.monitor.faults import ADDED, DOUBLED, MISSED, NO_GAP, UNWATCHED, Reports
+from gateway_plants.crank.monitor.faults import ADDED, DAMAGED, DOUBLED, MISSED, NO_GAP, UNWATCHED, Reports
 from gateway_plants.crank.monitor.place_proof import TOLD, held_back
 from gateway_plants.crank.monitor.sync_state import TENTATIVE, Const, State, shape, tell_held
 
@@ -52,11 +52,17 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         pass  # it has no gap that could be missing
     elif fires and c.polar == 1 and no_gap.polarity(wa):
         _tell_gap(s, c, out, 1.0)
-    elif fires and again and s.defects.turns >= defects.SURE and s.twice != TOLD:
+    elif s.twice == TOLD:
+        return  # it was told why there is none
+    elif fires and again and s.defects.turns >= defects.SURE:
         number = defects.missing(s.defects)
         shape(s, c, number if number > 0 else s.defects.count, 0, s.held)
         s.held.tooth = -1  # every place that is left has it, each at another tooth
         tell_held(s, MISSED if number > 0 else ADDED, out)
+        if number > 0:  # the wheel's, which each turn says anew
+            missing = report(out, DAMAGED, True, number, turns.BENT).damaged
+            missing.tooth, missing.off, missing.speed = -1, number, s.held.speed
+            return
     elif (again or wrong_wheel.expected(s) or wrong_wheel.unsure(s, c)) and wa.pulses < LONG_PATIENCE * patience:
         return
     elif no_gap.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):

@@ -23,7 +23,6 @@ from gateway_plants.crank.study.table import (
     fault_jobs,
     monte_carlo,
 )
-from gateway_plants.crank.wheel import Wheel
 
 
 def _share(value: float) -> str:
@@ -101,7 +100,7 @@ def _pair_tables(rows: list[wrong.Outcome]) -> list[Table]:
     named, runs = sum(row.named for row in rows), sum(row.runs for row in rows)
     title = (
         f"Configured wheel (row), real wheel (column): {named} of {runs} runs named alone within {wrong.WITHIN}"
-        " turns\n=: all runs named; D: named, and a defect of the configured wheel would give the same pulses"
+        " turns\n=: all runs named"
     )
     matrix = headed(title, ["", *wrong.WHEELS])
     for told in wrong.WHEELS:
@@ -109,19 +108,17 @@ def _pair_tables(rows: list[wrong.Outcome]) -> list[Table]:
         for real in wrong.WHEELS:
             mine = [row for row in rows if (row.told, row.real) == (told, real)]
             missed = sum(row.runs - row.named for row in mine)
-            same = mine and wrong.common(Wheel.parse(told), Wheel.parse(real))
-            cells.append(str(-missed) if missed else "D" if same else "=" if mine else "")
+            cells.append(str(-missed) if missed else "=" if mine else "")
         matrix.add_row(told, *cells)
     details = headed(
-        "Wheels that a defect makes alike, runs not named alone, and runs with a place proven",
-        ["configured", "real", "rpm", "named", "latest turn", "proven", "told instead", "the same pulses as"],
+        "Runs not named alone, and runs with a place proven",
+        ["configured", "real", "rpm", "named", "latest turn", "proven", "told instead"],
     )
     for row in rows:
-        same = wrong.common(Wheel.parse(row.told), Wheel.parse(row.real))
-        if same or row.named < row.runs or row.proven:
+        if row.named < row.runs or row.proven:
             told = ", ".join(f"{name} {count}" for name, count in row.reports.items())
             cells = [row.told, row.real, f"{row.rpm:.0f}", f"{row.named}/{row.runs}", f"{row.turn:.1f}"]
-            details.add_row(*cells, str(row.proven), told, same or "")
+            details.add_row(*cells, str(row.proven), told)
     return [matrix, details]
 
 

@@ -70,8 +70,6 @@ class State(Record):
     revolutions: i8 = means("turns so far")
     teeth: i8 = means("pulses so far")
     speed_rpm: f8 = means("speed of the last clean turn", "rpm")
-    slowest_rpm: f8 = means("slowest speed so far; 0: none", "rpm")
-    fastest_rpm: f8 = means("fastest speed so far", "rpm")
     missed: i8 = means("pulses missed")
     added: i8 = means("pulses added")
     unexplained: i8 = means("alarms that no count explains")
@@ -82,7 +80,6 @@ class State(Record):
     y2: f8 = means("interval before that; 0: not known", "us")
     turn_us: f8 = means("sum of the intervals of this turn", "us")
     clean: u1 = means("1: this turn has no exceedance so far")
-    hole: u1 = means("1: frames were lost within this turn")
     searched: i8 = means("pulses of the search")
     recent: i8 = means("faults since the last clean turn")
     filled: i4 = means("values in the window")
@@ -216,9 +213,6 @@ def _judge(s: State, c: Const, out: Reports) -> None:
         s.unexplained += 1
         return
     _shift(s, c, number)
-    if s.hole == 1:
-        # Frames were lost within this revolution: the count is theirs, not the sensor's.
-        return
     s.recent += 1
     if abs(number) > LARGEST_COUNT or s.recent > 2:
         report(out, SYNC_LOST, True, s.recent, 2.0).sync_lost.teeth = s.teeth
@@ -237,9 +231,6 @@ def _turn(s: State, c: Const, out: Reports) -> None:
     s.revolutions += 1
     if s.clean == 1 and s.turn_us > 0.0:
         s.speed_rpm = 60e6 / s.turn_us
-        s.fastest_rpm = max(s.fastest_rpm, s.speed_rpm)
-        if s.slowest_rpm == 0.0 or s.speed_rpm < s.slowest_rpm:
-            s.slowest_rpm = s.speed_rpm
         if c.follow_speed == 1 or s.phase == LEARN:
             s.alpha = s.turn_us / c.turn
         s.phase = TRACK
@@ -247,8 +238,6 @@ def _turn(s: State, c: Const, out: Reports) -> None:
         report(out, MISSED, False, 0.0, c.threshold)
         report(out, ADDED, False, 0.0, c.threshold)
         report(out, SYNC_LOST, False, 0.0, 0.0)
-    if s.filled == 0:
-        s.hole = 0
     s.clean = 1
     s.turn_us = 0.0
 
@@ -305,26 +294,3 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         _judge(s, c, out)
     if following == 0 and s.phase != SEARCH:
         _turn(s, c, out)
-
-
-@kernel
-def lost(s: State, c: Const, number: int) -> None:
-    """Pass over pulses whose times were lost on the bus: they were there, unseen."""
-    if s.phase == TRACK:
-        _shift(s, c, number)
-        s.filled = 0
-        s.clean = 0
-        s.hole = 1
-    elif s.phase == LEARN:
-        search(s)
-    s.y1 = 0.0
-    s.y2 = 0.0
-
-
-@kernel
-def angle(s: State, c: Const) -> float:
-    """Return the angle of the last tooth [share of a revolution], tooth 0 at zero."""
-    total = 0.0
-    for i in range(s.index):
-        total += c.pitches[i]
-    return float(total / c.turn)

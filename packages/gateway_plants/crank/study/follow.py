@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -119,3 +120,15 @@ def follower(
         return Followed(teeth, proven, found[:, 0], found[:, 1], found[:, 2], found[:, 3], alarms, reversals)
 
     return follow
+
+
+@cache
+def follower_of(method: Method, wheel: str) -> Callable[[NDArray[np.float64]], Followed]:
+    """Return :func:`follower` of a wheel by its text, one for all runs of a process."""
+    return follower(method, Wheel.parse(wheel))
+
+
+def warm(methods: Sequence[Method]) -> None:
+    """Fill the kernels' cache before several processes want it."""
+    for method in methods:
+        follower_of(method, "60-2")(np.arange(100.0) * 1e3)

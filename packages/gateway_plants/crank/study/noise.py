@@ -12,9 +12,7 @@ are proven again later than two turns behind it, those with no report at all, an
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +22,7 @@ from gateway_plants.crank.ecu.kinematics import tooth_times
 from gateway_plants.crank.monitor.faults import RELOCATED
 from gateway_plants.crank.monitor.runout import FIRING_RPM
 from gateway_plants.crank.study.cases import JITTER, TOOTH_ERROR
-from gateway_plants.crank.study.follow import Followed, Method, follower
+from gateway_plants.crank.study.follow import Followed, Method, follower_of, warm
 from gateway_plants.crank.study.outside import WHEELS
 from gateway_plants.crank.wheel import Wheel
 
@@ -101,11 +99,6 @@ def disturbed(
     return both, teeth, int(np.searchsorted(both, extra.max()))
 
 
-@cache
-def _follower(method: Method, text: str) -> Callable[[NDArray[np.float64]], Followed]:
-    return follower(method, Wheel.parse(text))
-
-
 def _judge(row: Outcome, found: Followed, teeth: NDArray[np.int64], last: int, wheel: Wheel, rpm: float) -> None:
     """Count one run."""
     real = teeth[1:] >= 0
@@ -130,7 +123,7 @@ def outcomes(text: str, kind: str, runs: int, seed: int, methods: tuple[Method, 
             rng = np.random.default_rng([seed, WHEELS.index(text), KINDS.index(kind), speed, k])
             times, teeth, last = disturbed(wheel, rpm, kind, rng)
             for method, row in rows.items():
-                _judge(row, _follower(method, text)(times), teeth, last, wheel, rpm)
+                _judge(row, follower_of(method, text)(times), teeth, last, wheel, rpm)
     return list(rows.values())
 
 
@@ -156,6 +149,5 @@ def gauntlet(runs: int, seed: int, progress: Progress = lambda: None) -> list[Ou
         seed: of all of them.
         progress: called at the end of each job.
     """
-    for method in METHODS:
-        _follower(method, WHEELS[0])(np.arange(100.0) * 1e3)
+    warm(METHODS)
     return run(_job, jobs(runs, seed), progress)

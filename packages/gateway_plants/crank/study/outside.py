@@ -19,7 +19,7 @@ from gateway_bench.study_pool import Progress, run
 from gateway_plants.crank.ecu.kinematics import tooth_times
 from gateway_plants.crank.monitor.faults import FAULTS
 from gateway_plants.crank.study.cases import JITTER, TOOTH_ERROR
-from gateway_plants.crank.study.follow import Followed, Method, follower
+from gateway_plants.crank.study.follow import Method, follower_of, warm
 from gateway_plants.crank.wheel import Wheel
 
 WHEELS = ("60-2", "36-1", "30-2", "24-1", "12-1", "36-2", "36-2-1", "36-2-2-2", "12+1")
@@ -208,11 +208,6 @@ def _cases() -> dict[tuple[str, str], Callable[[Wheel, np.random.Generator, int]
     return made
 
 
-@cache
-def _follower(method: Method, text: str) -> Callable[[NDArray[np.float64]], Followed]:
-    return follower(method, Wheel.parse(text))
-
-
 def jobs(runs: int, seed: int) -> list[tuple[str, str, str, int, int]]:
     """Return the jobs of :func:`outside`, ``runs`` of each case and wheel."""
     return [(group, case, wheel, runs, seed) for group, case in _cases() for wheel in WHEELS]
@@ -227,7 +222,7 @@ def _outcomes(job: tuple[str, str, str, int, int]) -> list[Outcome]:
     for k in range(runs):
         times, teeth, first = make(wheel, np.random.default_rng([seed, number, WHEELS.index(text), k]), k)
         for method, row in rows.items():
-            found = _follower(method, text)(times)
+            found = follower_of(method, text)(times)
             right = found.teeth % wheel.repeats == teeth[1:] % wheel.repeats
             row.pulses += len(times)
             row.wrong += bool((found.proven & ~right)[first:].any())
@@ -248,8 +243,7 @@ def outside(runs: int, seed: int, progress: Progress = lambda: None) -> list[Out
         seed: of all of them.
         progress: called at the end of each job.
     """
-    for method in METHODS:
-        _follower(method, WHEELS[0])(np.arange(100.0) * 1e3)
+    warm(METHODS)
     return run(_outcomes, jobs(runs, seed), progress)
 
 

@@ -1,15 +1,14 @@
 """A healthy engine with another wheel than the configured one: what is told of each pair of wheels.
 
 A run is :data:`TURNS` turns of the real wheel at a constant mean speed. The mismatch is *named* when ``wrong_wheel`` is
-the only report of the run and comes within :data:`WITHIN` turns. What two wheels have in common is derived from
-their pitches alone (:func:`common`): pulses that one wheel gives with a defect and another one without are the same
-pulses, and no method tells them apart.
+the only report of the run and comes within :data:`WITHIN` turns. Pulses that
+one wheel gives with a defect and another one without are the same, and no method tells them apart: docs/crank/crank.md
+has the table.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from gateway_bench.study_pool import Progress, run
 from gateway_plants.crank.ecu.kinematics import tooth_times
 from gateway_plants.crank.monitor.faults import FAULTS, WRONG_WHEEL
 from gateway_plants.crank.study.cases import JITTER, TOOTH_ERROR
-from gateway_plants.crank.study.follow import Followed, follower
+from gateway_plants.crank.study.follow import Followed, follower_of, warm
 from gateway_plants.crank.wheel import Wheel
 
 WHEELS = (
@@ -28,8 +27,6 @@ WHEELS = (
 SPEEDS_RPM = (300.0, 1500.0, 6000.0)
 #: Turns of a run, and within which the mismatch has to be named.
 TURNS, WITHIN = 60, 30
-#: Two pitches are the same within this [pitch], and defects that are looked for in one turn, at most.
-EQUAL, MOST_DEFECTS = 1e-6, 2
 
 
 @dataclass
@@ -57,46 +54,12 @@ class Outcome:
     reports: dict[str, int] = field(default_factory=dict)
 
 
-def common(told: Wheel, real: Wheel) -> str | None:
-    """Return which defect of the configured wheel gives the pulses of the real one; None: none of few teeth does.
-
-    A turn of the configured wheel is laid over the parts of the real one that have as many pitches, at each rotation.
-    """
-    turn = told.turn / real.turn
-    parts = round(turn)
-    if parts < 1 or abs(turn - parts) > EQUAL:
-        return None
-    mine = _angles(told, 1, 0)
-    found: list[tuple[int, str]] = []
-    for shift in range(real.pulses):
-        theirs = _angles(real, parts, shift)
-        for lag in mine:
-            there = {round(angle * 1e4) for angle in (theirs + lag) % told.turn}
-            here = {round(angle * 1e4) for angle in mine}
-            missing, added = len(here - there), len(there - here)
-            if 0 < missing + added <= MOST_DEFECTS and not (missing and added):
-                what = "teeth missing" if missing else "pulses too many"
-                found.append((missing + added, f"{missing + added} {what}"))
-    return min(found)[1] if found else None
-
-
-def _angles(wheel: Wheel, turns: int, shift: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the angles of the pulses of some turns, from pulse ``shift`` on, which is at zero [pitch]."""
-    pitches = np.tile(np.roll(np.asarray(wheel.pitches), -shift), turns)
-    return np.concatenate([[0.0], np.cumsum(pitches)[:-1]])
-
-
 def _pulses(text: str, rpm: float, rng: np.random.Generator) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return the pulse times [us] of a healthy engine."""
     ripple = [(2.0, min(0.05, 40 / rpm), rng.uniform(0, 2 * np.pi))]
     wheel = Wheel.parse(text)
     seconds = TURNS * 60 / rpm
     return tooth_times(wheel, [(0, rpm)], seconds, ripple=ripple, jitter=JITTER, tooth_error=TOOTH_ERROR, rng=rng) / 1e3
-
-
-@cache
-def _follower(text: str) -> Any:
-    return follower("adaptive", Wheel.parse(text))
 
 
 def _judge(row: Outcome, found: Followed) -> None:
@@ -125,7 +88,7 @@ def outcomes(job: tuple[str, str, int, int]) -> list[Outcome]:
         row = Outcome(told, real, rpm)
         for k in range(runs):
             rng = np.random.default_rng([seed, WHEELS.index(told), WHEELS.index(real), number, k])
-            _judge(row, _follower(told)(_pulses(real, rpm, rng)))
+            _judge(row, follower_of("adaptive", told)(_pulses(real, rpm, rng)))
         rows.append(row)
     return rows
 
@@ -143,5 +106,5 @@ def pairs(runs: int, seed: int, progress: Progress = lambda: None) -> list[Outco
         seed: of all of them.
         progress: called at the end of each job.
     """
-    _follower(WHEELS[0])(np.arange(100.0) * 1e3)
+    warm(("adaptive",))
     return run(outcomes, jobs(runs, seed), progress)

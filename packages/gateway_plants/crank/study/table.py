@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from functools import cache
 from itertools import product
 from typing import Any
 
@@ -14,7 +13,7 @@ from gateway_bench.study_pool import Progress, run
 from gateway_plants.crank.monitor.faults import ADDED, MISSED, PULSES_LOST
 from gateway_plants.crank.monitor.isolation import LOSS
 from gateway_plants.crank.study.cases import Kind, Train, cranking, labels, sweep, with_fault
-from gateway_plants.crank.study.follow import METHODS, Followed, Method, follower
+from gateway_plants.crank.study.follow import METHODS, Followed, Method, follower_of, warm
 from gateway_plants.crank.wheel import Wheel
 
 WHEELS = ("60-2", "36-1", "30-2")
@@ -81,11 +80,6 @@ def _groups() -> Iterator[tuple[str, list[tuple[float, float]], int | None]]:
     yield "within 2 teeth of the gap", list(product(NEAR_SPEEDS, NEAR_RAMPS)), NEAR_GAP
 
 
-@cache
-def _follower(method: Method, wheel: str) -> Callable[..., Followed]:
-    return follower(method, Wheel.parse(wheel))
-
-
 def judge(train: Train, followed: Followed, kind: Kind, count: int, pulses: int) -> dict[str, float]:
     """Compare what a method made of a train with what was in it; values as in :class:`Score`."""
     last = train.fault + (count - 1 if kind == "added" else 0)
@@ -132,8 +126,7 @@ def _faults(job: tuple[str, str, Kind, int, int, int]) -> list[Score]:
         for _ in range(runs):
             train = with_fault(wheel, rpm, ramp, kind, count, rng, near_gap=near)
             for method in METHODS:
-                followed = _follower(method, text)(train.times_us)
-                rows[method].append(judge(train, followed, kind, count, wheel.pulses))
+                rows[method].append(judge(train, follower_of(method, text)(train.times_us), kind, count, wheel.pulses))
     scores = []
     for method, found in rows.items():
         mean = {
@@ -160,7 +153,7 @@ def _alarms(job: tuple[str, str, float, int, int]) -> list[Alarms]:
     truth = labels(wheel, len(times))[1:]
     found = []
     for method in METHODS:
-        followed = _follower(method, text)(times)
+        followed = follower_of(method, text)(times)
         wrong = int((followed.proven & (followed.teeth != truth)).sum())
         count = followed.alarms if method != "adaptive" else len(followed.fault)
         found.append(Alarms(case, text, jitter, method, len(times), count, wrong))
@@ -183,13 +176,6 @@ def alarm_jobs(pulses: int, seed: int) -> list[tuple[str, str, float, int, int]]
     return [(*case, piece, seed + k) for case in cases for k, piece in enumerate(pieces)]
 
 
-def _warm() -> None:
-    """Fill the kernels' cache before several processes want it."""
-    wheel = Wheel.parse(WHEELS[0])
-    for method in METHODS:
-        _follower(method, wheel.text)(np.arange(wheel.pulses) * 1e3)
-
-
 def monte_carlo(runs: int, seed: int, progress: Progress = lambda: None) -> list[Score]:
     """Return a score for each group, wheel, kind of fault and method.
 
@@ -198,7 +184,7 @@ def monte_carlo(runs: int, seed: int, progress: Progress = lambda: None) -> list
         seed: of all of them.
         progress: called at the end of each job.
     """
-    _warm()
+    warm(METHODS)
     return run(_faults, fault_jobs(runs, seed), progress)
 
 
@@ -211,7 +197,7 @@ def false_alarms(pulses: int, seed: int, progress: Progress = lambda: None) -> l
         progress: called at the end of each job.
     """
     total: dict[tuple[str, str, float, str], Alarms] = {}
-    _warm()
+    warm(METHODS)
     for row in run(_alarms, alarm_jobs(pulses, seed), progress):
         key = (row.case, row.wheel, row.jitter, row.method)
         if key in total:
