@@ -154,7 +154,7 @@ def share(hits: int, runs: int) -> str:
         return "-"
     p, z2 = hits / runs, Z * Z
     middle, apart = p + z2 / (2 * runs), Z * math.sqrt(p * (1 - p) / runs + z2 / (4 * runs * runs))
-    low, high = ((middle + sign * apart) / (1 + z2 / runs) for sign in (-1, 1))
+    low, high = (max(middle + sign * apart, 0.0) / (1 + z2 / runs) for sign in (-1, 1))
     return f"{hits} of {runs} = {p:.0%} ({low:.0%} to {high:.0%})"
 
 
