@@ -358,7 +358,7 @@ class Causes:
                 for fault in self._faults([w.test])
                 if w.test < len(self._tests)
             ],
-            "apart_by": self._faults([one.test for one in apart]),
+            "apart_by": self._faults(apart),
         }
 
     def _faults(self, places: Iterable[int]) -> list[str]:

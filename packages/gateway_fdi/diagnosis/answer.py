@@ -9,14 +9,6 @@ from typing import NamedTuple
 CERTAIN, ALONE = 0.9, 0.1
 
 
-class Size(NamedTuple):
-    """Size of a component's error: its place, the size, its standard deviation, in the unit that its gains are for."""
-
-    component: int
-    size: float
-    error: float
-
-
 class Against(NamedTuple):
     """What contradicts a diagnosis.
 
@@ -48,14 +40,12 @@ class Diagnosis:
         probability: among all diagnoses of these failed tests.
         explains: failed tests, by their places.
         against: what contradicts it, heaviest first.
-        sizes: of components whose gains are known.
     """
 
     components: tuple[int, ...]
     probability: float
     explains: tuple[int, ...]
     against: tuple[Against, ...]
-    sizes: tuple[Size, ...]
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway_fdi.diagnosis import sizes
-from gateway_fdi.diagnosis.answer import Against, Size, Wait
+from gateway_fdi.diagnosis.answer import Against, Wait
 from gateway_fdi.diagnosis.state import FAILED, PASSED, State
 from gateway_fdi.diagnosis.system import Floats, Ints, System
 from gateway_fdi.hitting import NEVER
@@ -204,20 +204,6 @@ class Cluster:
         others = system.link_component[(state.verdict[system.link_test] == FAILED) & ~own]
         gone = np.union1d(others, self.suspects[list(suspects)])  # of another group, or there already
         return tuple(np.setdiff1d(found, gone).tolist())
-
-    # What people are told of it --------------------------------------------------------------------------------------
-
-    def sizes(self, suspects: tuple[int, ...]) -> tuple[Size, ...]:
-        """Return the sizes of a set of suspects, as far as they can be told."""
-        fitted = self.fit(suspects)
-        if fitted is None:
-            return ()
-        told = [int(self.suspects[k]) for k in suspects if self._sized[k]]
-        return tuple(
-            Size(c, float(size), float(error))
-            for c, size, error in zip(told, fitted.sizes, fitted.errors, strict=True)
-            if error > 0.0
-        )
 
     def against(self, suspects: tuple[int, ...], missed: tuple[int, ...]) -> tuple[Against, ...]:
         """Return what contradicts a set of suspects, heaviest first."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from gateway_fdi.diagnosis.answer import Diagnosis, Group
 from gateway_fdi.diagnosis.state import NOT_TESTED, State
 from gateway_fdi.diagnosis.system import System
@@ -12,23 +10,8 @@ from gateway_fdi.diagnosis.system import System
 ENOUGH = 0.5
 
 
-class Telling(NamedTuple):
-    """A test that would tell two diagnoses apart.
-
-    Attributes:
-        test: its place.
-        for_first, for_other: probability that it fails by the first diagnosis, and by the other.
-        waits: whether it is tested, but not for long enough; else it is not tested.
-    """
-
-    test: int
-    for_first: float
-    for_other: float
-    waits: bool
-
-
-def telling(system: System, state: State, group: Group) -> tuple[Telling, ...]:
-    """Return tests that would tell the two likeliest diagnoses of a group apart, the sharpest first."""
+def telling(system: System, state: State, group: Group) -> tuple[int, ...]:
+    """Return places of tests that would tell the two likeliest diagnoses of a group apart, the sharpest first."""
     if len(group.diagnoses) < 2:
         return ()
     first, other = group.diagnoses[:2]
@@ -38,13 +21,9 @@ def telling(system: System, state: State, group: Group) -> tuple[Telling, ...]:
         for component in {*first.components, *other.components}
         for link in system.of_component[component]
     }
-    found = [
-        Telling(t, _fails(system, t, first), _fails(system, t, other), t in waiting)
-        for t in sorted(tests)
-        if t in waiting or state.verdict[t] == NOT_TESTED
-    ]
-    enough = [one for one in found if abs(one.for_first - one.for_other) >= ENOUGH]
-    return tuple(sorted(enough, key=lambda one: (-abs(one.for_first - one.for_other), one.test)))
+    open_ = [t for t in sorted(tests) if t in waiting or state.verdict[t] == NOT_TESTED]
+    apart = {t: abs(_fails(system, t, first) - _fails(system, t, other)) for t in open_}
+    return tuple(sorted((t for t in open_ if apart[t] >= ENOUGH), key=lambda t: -apart[t]))
 
 
 def _fails(system: System, test: int, diagnosis: Diagnosis) -> float:

@@ -108,7 +108,6 @@ def _told(cluster: Cluster, one: HittingSet, probability: float) -> Diagnosis:
         probability=probability,
         explains=tuple(t for k, t in enumerate(cluster.failed) if k not in one.missed),
         against=cluster.against(one.elements, one.missed),
-        sizes=cluster.sizes(one.elements),
     )
 
 

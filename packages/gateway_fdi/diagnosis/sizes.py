@@ -25,13 +25,11 @@ class Fit(NamedTuple):
 
     Attributes:
         sizes: shape (components,).
-        errors: their standard deviations, shape (components,).
         misfit: chi-square.
         degrees: of freedom.
     """
 
     sizes: Floats
-    errors: Floats
     misfit: float
     degrees: int
 
@@ -59,8 +57,7 @@ def fit(residuals: Floats, gains: Floats, noise: Floats, gain_error: Floats) -> 
         expected = gains @ sizes
     rank = round(float(np.trace(scaled @ inverse)))
     left = (residuals - expected) / spread
-    errors = np.sqrt(np.sum(inverse**2, axis=1))
-    return Fit(sizes, errors, float(left @ left), len(residuals) - rank)
+    return Fit(sizes, float(left @ left), len(residuals) - rank)
 
 
 def chi2_beyond(value: float, degrees: int) -> float:

@@ -27,6 +27,7 @@ def cases(seed, whole, part):
 def test_a_diagnosis_hits_all_conflicts_and_needs_each_component():
     for case, _, components, tests, updates in cases(SEED, 3000, 150):
         sees = [{int(link.component[1:]) for link in t.links} for t in tests]
+        sized = {int(link.component[1:]) for t in tests for link in t.links if math.isfinite(link.gain)}
         for group in ran(components, tests, updates).diagnose():
             told = [one.probability for one in group.diagnoses]
             assert sum(told) + group.rest == pytest.approx(1.0), case
@@ -37,7 +38,7 @@ def test_a_diagnosis_hits_all_conflicts_and_needs_each_component():
                 for t in group.failed:
                     assert bool(sees[t] & chosen) == (t in one.explains) != (t in alarms), case
                 idle = [c for c in chosen if all(sees[t] & chosen != {c} for t in group.failed)]
-                assert len(idle) <= bool(one.sizes), case  # one that sizes ask for, though no failed test does
+                assert len(idle) <= bool(chosen & sized), case  # one that sizes ask for, though no failed test does
 
 
 def test_ways_in_which_one_component_fails_are_told_as_one():
@@ -174,10 +175,6 @@ def test_one_size_has_to_fit_all():
         speed = next(one for one in group.diagnoses if one.components == (3,))
         assert (any(a.why == "size" for a in speed.against)) is wrong
         assert (group.cause == speed) is not wrong
-        if not wrong:
-            ((place, size, error),) = speed.sizes
-            assert (place, size) == (3, pytest.approx(40.0, abs=1.0))
-            assert 0.5 < error < 2.0
 
 
 @pytest.mark.parametrize("cancels", [True, False])

@@ -100,6 +100,20 @@ def test_the_wheel_s_rate_is_its_witness():
     assert s["wheel"] == pytest.approx(1.0, rel=1e-6)
 
 
+@pytest.mark.parametrize(("wheel_off", "pinion_off"), [(1.2, 0.0), (0.0, 1.2), (1.2, 1.2), (1.2, -0.9)])
+def test_by_the_wheel_s_rate_the_gear_says_what_is_off_beside_the_wheel(wheel_off, pinion_off):
+    s, c = gear(age_ns=20_000_000)
+    for k in range(60):
+        at = 10_000_000 * k
+        off = [one * (k >= 30) for one in (wheel_off, pinion_off)]
+        kinematics.keep(s, at - 1_000_000, 0.0, 0.5 * k + off[1])
+        kinematics.keep(s, at + 1_000_000, 0.0, 0.5 * k + off[1])
+        kinematics.follow(s, c, at, 0.5 * k + off[0], 50.0)
+        assert kinematics.fit(s, c, at, 0.5 * k + off[0], 0.0)
+    assert s["sure"] == pytest.approx(wheel_off - pinion_off, abs=1e-9)
+    assert s["others"] == pytest.approx(-pinion_off, abs=1e-9)
+
+
 def ratio(**options):
     c, s = zeros(1, road_wheel.Const), zeros(1, road_wheel.State)
     road_wheel.prepare(c[0], Ratio(**options))

@@ -207,3 +207,7 @@ def test_of_faults_that_sizes_leave_no_test_proves_one():
     pair = {"paired": both, "likely": one}
     np.testing.assert_equal(said(weighed=-1, **pair), [2.0, nan, nan, never, 2.0, 2.0, never, *silent])
     np.testing.assert_equal(said(weighed=2, **pair, sure=one), [2.0, 2.0, nan, 2.0, never, never, never, *silent])
+    for best, better in ((900.0, 2.0), (1100.0, never)):  # where nothing may be off: a tenth of what one explains
+        fit = {"second": 50.0, "excess": 2.0, "alone": np.array([best, 10.0])}
+        told = levels(plan, {"own": own | {"weighed": -1, "by_size": 0}, "fit": fit})
+        np.testing.assert_equal(told, [*([never] * 5), better, better, 5.0, 5.0])

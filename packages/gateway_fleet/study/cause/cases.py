@@ -113,6 +113,10 @@ _LINEAR = {
 }
 
 
+#: Plant -> its family, whose monitors are of one kind; of the others each is one of its own.
+FAMILIES = dict.fromkeys(_SENSORS, "structural") | dict.fromkeys(_LINEAR, "linear")
+
+
 def _bus(base: str) -> str:
     config = shipped(f"configs/{read(base)['config'].rpartition('/')[2]}")
     return str(tomllib.loads(config.read_text())["bus"][0]["name"])

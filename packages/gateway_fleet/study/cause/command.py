@@ -15,6 +15,7 @@ from rich.table import Table
 from gateway.cli.present import print_json, wide_console
 from gateway_bench.cli.study import headed
 from gateway_fleet.study.cause.cars import learned
+from gateway_fleet.study.cause.cases import FAMILIES
 from gateway_fleet.study.cause.judge import Verdict
 from gateway_fleet.study.cause.matrix import Job, Row, done, folder_of, healthy, pairs, singles
 
@@ -47,9 +48,14 @@ def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Pat
         if len(apart) < len(some):
             console.print(_table(f"{kind} that the models' structure tells apart", apart))
     for kind, some in rows.items():
-        told = [row.verdict for row in some if row.verdict.chance > 0.0]
-        if told:
-            console.print(_reliability(kind, told))
+        families: dict[str, list[Verdict]] = defaultdict(list)
+        for row in some:
+            if row.verdict.chance > 0.0:
+                families[f"{kind}, {FAMILIES.get(row.plant, row.plant)}"].append(row.verdict)
+        for family, told in families.items():
+            console.print(_reliability(family, told))
+        if families:
+            console.print(_reliability(kind, list(itertools.chain.from_iterable(families.values()))))
     return 0
 
 

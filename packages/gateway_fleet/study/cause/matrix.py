@@ -83,18 +83,11 @@ def _of_car(job: Job, rng: np.random.Generator) -> Row:
     return Row(job.plant, job.name, job.seed, END_S, judge(told, [one.truth for one in job.injected], begin, END_S))
 
 
-def singles(seeds: Sequence[int], cars: Sequence[Car], plants: Sequence[str] = ()) -> Iterator[Job]:
-    """Yield runs with one fault each.
-
-    Args:
-        seeds: of the runs of each fault.
-        cars: learned ones.
-        plants: only these; none: all.
-    """
+def singles(seeds: Sequence[int], cars: Sequence[Car]) -> Iterator[Job]:
+    """Yield runs with one fault each, of each seed."""
     for seed in seeds:
         for fault in faults():
-            if not plants or fault.plant in plants:
-                yield Job(fault.plant, fault.name, seed, (fault,))
+            yield Job(fault.plant, fault.name, seed, (fault,))
         for car in cars:
             for one in injected(car):
                 yield Job(car.name, one.text, seed, injected=(one,))
@@ -135,12 +128,11 @@ def pair_of(first: Fault | Injected, second: Fault | Injected, seed: int) -> Job
     return Job(first.car.name, f"{first.text} + {second.text}", seed, injected=(first, second))
 
 
-def healthy(seeds: Sequence[int], plants: Sequence[str] = ()) -> Iterator[Job]:
+def healthy(seeds: Sequence[int]) -> Iterator[Job]:
     """Yield runs of each scenario without its faults."""
     for seed in seeds:
         for base, plant in dict.fromkeys((fault.base, fault.plant) for fault in faults()):
-            if not plants or plant in plants:
-                yield Job(plant, f"healthy {base}", seed, base=base)
+            yield Job(plant, f"healthy {base}", seed, base=base)
 
 
 def done(jobs: Sequence[Job], progress: Callable[[], None] = lambda: None) -> list[Row]:

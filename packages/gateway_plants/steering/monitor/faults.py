@@ -84,8 +84,8 @@ FAULTS = tuple(
 )
 
 MOTOR_PART = Blame("motor angle", "sensor")  # it comes in two messages
-WHEEL_PART, _PINION = Blame("SAS_Angle.Delta_S"), Blame("AFS_Angle.Delta_G")
-ANGLE_PARTS = (MOTOR_PART, WHEEL_PART, _PINION)
+WHEEL_PART, PINION_PART = Blame("SAS_Angle.Delta_S"), Blame("AFS_Angle.Delta_G")
+ANGLE_PARTS = (MOTOR_PART, WHEEL_PART, PINION_PART)
 _CURRENTS = (Blame("AFS_MotCur.I_U"), Blame("AFS_MotCur.I_V"))
 _VOLTAGES = (Blame("AFS_MotVol.U_sd_mean"), Blame("AFS_MotVol.U_sq_mean"), Blame("inverter", "actuator"))
 ELECTRIC_PARTS = (*_CURRENTS, *_VOLTAGES)
@@ -101,14 +101,14 @@ def _vague(*parts: Blame, share: float = _SECOND) -> tuple[Blame, ...]:
     return tuple(one._replace(share=share) for one in parts)
 
 
-_MOTOR_BLAMES = (MOTOR_PART, *_vague(WHEEL_PART, _PINION), *_vague(*ELECTRIC_PARTS, share=_UPSET))
+_MOTOR_BLAMES = (MOTOR_PART, *_vague(WHEEL_PART, PINION_PART), *_vague(*ELECTRIC_PARTS, share=_UPSET))
 
 
 #: What each fault blames: the component that the signature table names, or those that it cannot tell apart.
 BLAMES = {
     **{fault.name: _MOTOR_BLAMES for fault in FAULTS[: IMPLAUSIBLE + 1]},
-    "wheel_angle": (WHEEL_PART, *_vague(MOTOR_PART, _PINION)),
-    "pinion_angle": (_PINION, *_vague(WHEEL_PART), *_vague(MOTOR_PART, share=_CONSISTENT)),
+    "wheel_angle": (WHEEL_PART, *_vague(MOTOR_PART, PINION_PART)),
+    "pinion_angle": (PINION_PART, *_vague(WHEEL_PART), *_vague(MOTOR_PART, share=_CONSISTENT)),
     "angles": tuple(one._replace(share=0.3) for one in ANGLE_PARTS),
     "current": _CURRENTS,
     "voltage": _VOLTAGES,

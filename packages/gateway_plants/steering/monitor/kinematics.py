@@ -65,6 +65,10 @@ class State(Record):
     sure: f8 = means("the middle one of the last three, less what late frames explain", "deg")
     before: f8 = means("parity before the last", "deg")
     last: f8 = means("last parity", "deg")
+    own: f8 = means("steering wheel's angle less the integral of its rate, since (1) and its rate last held", "deg")
+    others: f8 = means("as sure, with the integral of the rate instead of the steering wheel's angle", "deg")
+    others_before: f8 = means("parity less own, before the last", "deg")
+    others_last: f8 = means("likewise, the last", "deg")
     wheel: f8 = means("steering wheel's angle less the integral of its rate, forgetting", "deg")
     last_wheel: f8 = means("steering wheel's last angle", "deg")
     last_rate: f8 = means("steering wheel's last rate", "deg/s")
@@ -206,19 +210,25 @@ def fit(s: State, c: Const, sampled_ns: int, wheel: float, coarse: float) -> boo
         if s.aged == 1 and s.due != due:
             return False  # the next one is with the new age
         slack += (c.unsure if s.aged == 0 else NEARLY * 1e-9) * _fastest(s, c)
-    # One that was is not like those before and behind it.
-    one, two, three = s.before, s.last, s.parity
-    s.before, s.last = s.last, s.parity
-    middle = max(min(one, two), min(max(one, two), three))
-    s.sure = middle - min(max(middle, -slack), slack)
+    others = s.parity - s.own
+    s.sure = _beyond(s.before, s.last, s.parity, slack)
+    s.others = _beyond(s.others_before, s.others_last, others, slack)
+    s.before, s.last, s.others_before, s.others_last = s.last, s.parity, s.others_last, others
     return True
+
+
+@kernel
+def _beyond(one: float, two: float, three: float, slack: float) -> float:
+    """Return what the middle one of three has beyond a slack: one that was late is not like those beside it."""
+    middle = max(min(one, two), min(max(one, two), three))
+    return float(middle - min(max(middle, -slack), slack))
 
 
 @kernel
 def begin(s: State) -> None:
     """Follow the steering wheel anew: when it was sampled is known anew."""
     s.started = s.watched = 0
-    s.wheel = 0.0
+    s.wheel = s.own = 0.0
 
 
 @kernel
@@ -228,6 +238,7 @@ def follow(s: State, c: Const, t_ns: int, wheel: float, rate: float) -> None:
         dt = (t_ns - s.wheel_ns) * 1e-9
         error = wheel - s.last_wheel - 0.5 * (rate + s.last_rate) * dt
         s.wheel += error - min(c.leak * dt, 1.0) * s.wheel
+        s.own += error
     s.started = 1
     s.rate_before = s.last_rate
     s.last_wheel, s.last_rate, s.wheel_ns = wheel, rate, t_ns

@@ -263,6 +263,8 @@ def _wheel_frame(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> 
         symptoms.update_gear(y, c.symptoms, k, s.motor)
         if y.alarm[symptoms.PARITY] == 0:
             k.watched = 1
+        if k.sure == 0.0 and y.alarm[symptoms.RATE] == 0:
+            k.own = 0.0
     # Where the pinion's angle is of long ago, nobody knows where the road wheels are.
     known = s.motor == s.motor and u.t_ns - s.angle_ns <= c.kinematics.stale_ns
     if c.road_wheel.points > 0 and u.valid_v > 0.0 and known:

@@ -166,6 +166,8 @@ _FIRES = 0.8
 #: How likely one fault alone looks like two. By it one of them is not told as the cause, and two neither: what a model
 #: lacks may look so.
 _LOOKS_LIKE_TWO = 0.002
+#: Share of what the best fault explains that a second one has to explain besides.
+_SHARE = 0.1
 #: How likely a fault that is there alone is not found unlikely (0.99), as :class:`Blame` has it.
 _FITS = 1.1
 
@@ -210,7 +212,8 @@ def levels(plan: Plan, state: Any) -> list[float]:
     Where something may be off, tests say nothing until sizes do. Where sizes say which faults are likely, a test that
     has not fired says nothing; nor does one that some of these do not see: its residual is in what they say. One that
     has just fired says nothing where sizes have spoken: it may be another fault's. Where two fit better than a fault
-    that fits alone, that is one more test of it, and each other fault alone is out of the question.
+    that fits alone, that is one more test of it, and each other fault alone is out of the question. Where nothing may
+    be off, the tests name pairs; what sizes say of them is that one fault alone is unlikely.
     """
     own = state["own"]
     weighed: list[float] = []
@@ -232,6 +235,8 @@ def levels(plan: Plan, state: Any) -> list[float]:
         weighed = [2.0, *fits, *more, *better]
         if said == 0 or (said < 0 and not paired.any()):
             weighed = [-inf] * len(weighed)
+            if not own["by_size"] and _needs_two(state["fit"]):
+                weighed[-len(better) :] = [2.0] * len(better)
         if said == 2 or (said != 1 and own["by_size"] == 1):
             return weighed + [-inf] * len(plan.tests)
     fired = unpack(np.asarray(own["fired"])[None, :], len(plan.tests))[0]
@@ -247,6 +252,15 @@ def levels(plan: Plan, state: Any) -> list[float]:
             for level, test in zip(levels, plan.tests, strict=True)
         ]  # fmt: skip
     return weighed + levels
+
+
+def _needs_two(fit: Any) -> bool:
+    """Return whether two faults fit better than the best one by a share of what that explains.
+
+    A fault whose gains are off by a few percent leaves less than that share, however large it is.
+    """
+    told = fit["second"] * fit["excess"]
+    return bool(fit["second"] > fault_likelihood.TWO and told > _SHARE * fit["alone"].max())
 
 
 def _sensors(model: Model) -> dict[str, str]:
