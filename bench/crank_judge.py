@@ -30,7 +30,7 @@ import numpy as np
 
 from gateway.bus.frames import payload
 from gateway.engine.build import build_engine
-from gateway.engine.depends.monitors import OWN
+from gateway.engine.depends.parts import OWN
 from gateway.engine.events import QUALIFIED_FAILED
 from gateway.engine.instances import MonitorInstance
 from gateway.monitors.contract import FAILED
