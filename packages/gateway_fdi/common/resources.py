@@ -120,9 +120,10 @@ def find(path: Path, folder: Path, kind: str, suffix: str, *, beside: str, key: 
     found = beside_or_shipped(folder, path)
     if found.exists():
         return found
+    begins = "" if path.parent.name == kind else f"{kind}/"
     try:
-        return shipped(str(path) if path.parent.name == kind else f"{kind}/{path}")
+        return shipped(f"{begins}{path}")
     except InputError as error:
-        known = [f"{kind}/{each.name}" for each in all_shipped(kind, suffix)]
+        known = [f"{kind}/{each.name}".removeprefix(begins) for each in all_shipped(kind, suffix)]
         text = f"no such file beside {beside}, and the gateway comes with {', '.join(known)} only"
-        raise InputError(f"{text}{nearest(f'{kind}/{path.name}', known)}", key=key, value=str(path)) from error
+        raise InputError(f"{text}{nearest(str(path), known)}", key=key, value=str(path)) from error
