@@ -91,7 +91,7 @@ class Run:
             self.daemon = Daemon(
                 self._config,
                 memory=self.folder / "f.sqlite",
-                tell=self._on_event,
+                report=self._on_event,
                 taps=[self.tap],
                 machine=self.bench.machine(),
             )

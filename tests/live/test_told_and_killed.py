@@ -37,7 +37,7 @@ Store.save = slow
 restarts.LONGEST_S = 0.0
 bus = socket.socket(fileno=fd)
 machine = Machine(open_bus=lambda uri, index: StructBus(bus, index))
-Daemon(config, memory=memory, tell=lambda event: None, machine=machine).run(lambda: False)
+Daemon(config, memory=memory, report=lambda event: None, machine=machine).run(lambda: False)
 """
 
 

@@ -88,7 +88,7 @@ class World:
             memory=memory,
             asked=lambda: self.leaving(),  # noqa: PLW0108 - a test may set another one
             **options,
-            tell=lambda event: self.events.append((self.now_ns, event)),
+            report=lambda event: self.events.append((self.now_ns, event)),
             machine=Machine(
                 clock=self.clock,
                 monotonic=lambda: self.now_ns / 1e9,
