@@ -91,7 +91,7 @@ class Questioned(EcuClient):
             more += [request[:-1] + bytes([each]) for each in INFOTYPES if each in there]
         self.asks += [Ask(each, NEVER) for each in more]
 
-    def _take_refusal(self, ask: Ask) -> None:
+    def _report(self, ask: Ask) -> None:
         """A refusal is an answer here."""
 
     def _absent(self, t_ns: int) -> None:

@@ -34,7 +34,7 @@ class Observer(Protocol):
     def add(self, values: NDArray[np.float64]) -> None:
         """Take frames: their signals, shape (frames, signals); NaN in frames that cannot be decoded."""
 
-    def text(self) -> str:
+    def told(self) -> str:
         """Return what it saw, for people."""
 
 

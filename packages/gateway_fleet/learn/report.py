@@ -48,7 +48,7 @@ def observed(result: Result) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {kind.topic: [] for kind in OBSERVERS.values()}
     for (_, name), seen in result.observation.seen.items():
         for observer in seen.observers:
-            found[observer.topic].append(f"{name}: {observer.text()}")
+            found[observer.topic].append(f"{name}: {observer.told()}")
     return found
 
 

@@ -15,7 +15,6 @@ from gateway.monitors.contract import Connection, MonitorParams, Signal
 from gateway.monitors.sampling import Sampling
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.jit import Record, f8s, i8, i8s, kernel, means
-from gateway_fdi.linear_algebra import copy
 from gateway_fdi.structure.units import differ
 from gateway_plants.linear.mathematics.plant import LinearPlant, discretised
 from gateway_plants.linear.model_set import alignment
@@ -410,11 +409,9 @@ def take(s: Watched, c: Const, u: Inputs, at: int, came: bool) -> None:
     for j in range(c.inputs):
         lost = max(lost, s.sampling.unsure[j])
     s.commands_lost += lost
-    if came:
-        copy(s.y, u.y, c.outputs)
-    else:
-        s.missing += 1
-        s.y[:] = nan
+    s.missing += 0 if came else 1
+    for j in range(c.outputs):
+        s.y[j] = u.y[j] if came else nan
 
 
 @kernel
