@@ -110,7 +110,7 @@ class Fleet:
         (folder / "battery.dbc").write_text(DBC)
         public = signed_documents.public_of(self.owner)
         keys = {"fleet": "vans", "serial": 1, "root": [public], "signer": [public]}
-        (folder / "keys").write_bytes(signed_documents.sign("keys", signed_documents.told(keys), self.owner))
+        (folder / "keys").write_bytes(signed_documents.sign("keys", signed_documents.to_toml(keys), self.owner))
         self.collector, self.cars = Collector(folder / "out", "vans", 1e9), []
 
     def campaign(self, limit, **changed):
@@ -132,7 +132,7 @@ class Fleet:
 
     def offer(self, campaign):
         """Sign a campaign, and have all cars hear of it."""
-        document = signed_documents.sign("campaign", signed_documents.told(campaign.model_dump()), self.owner)
+        document = signed_documents.sign("campaign", signed_documents.to_toml(campaign.model_dump()), self.owner)
         assert [car.trials.offer(document) for car in self.cars] == [""] * len(self.cars)
 
     def drive(self, highest):
