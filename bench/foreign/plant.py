@@ -1,4 +1,7 @@
-"""A plant of other make: a model as a user writes it, and a drive that its own solver makes."""
+"""A plant of other make: a model as a user writes it, and a drive that its own solver makes.
+
+Its structure is not the model's. Plants of gateway_plants/structural/study/foreign.py have that, with other parameters.
+"""
 
 from __future__ import annotations
 

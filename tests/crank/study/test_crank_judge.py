@@ -136,7 +136,7 @@ def test_a_tooth_that_each_turn_lacks_is_the_wheels_where_nothing_tells_which(ju
 
 
 @compiled
-def test_no_gap_is_told_behind_two_places(judge):
+def test_behind_two_places_a_missing_gap_is_not_reported(judge):
     """Why no place is proven was told already."""
     assert set(judge.one_run((331199, 1321))[7]) == {"two_places"}
 

@@ -79,12 +79,12 @@ def sent(params: RestbusParams, database: Database, *, log: bool = True) -> list
         raise InputError(text, key="cycle_ms")
     if not log:
         return found
-    _print(params, without_cycle, "no cycle time in the database, and no cycle_ms")
-    _print(params, broken, "signals beyond its end")
+    _warn(params, without_cycle, "no cycle time in the database, and no cycle_ms")
+    _warn(params, broken, "signals beyond its end")
     return found
 
 
-def _print(params: RestbusParams, names: list[str], why: str) -> None:
+def _warn(params: RestbusParams, names: list[str], why: str) -> None:
     """Say which messages are not sent."""
     if names:
         shown = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")

@@ -69,7 +69,7 @@ def deviation() -> float:
     return float((2 * GAMMA / (2 - GAIN)) ** 0.5)
 
 
-def _told(count: int) -> NDArray[np.float64]:
+def _rates(count: int) -> NDArray[np.float64]:
     """Return how often a fault is the first alarm, its direction and its count are told; a row a threshold.
 
     Section 3.2: the first exceedance's sign is the direction, above zero: missed; the exceedances last from the fault
@@ -98,7 +98,7 @@ def claims() -> list[Claim]:
     first = [float(r[r > 1e-9][0]) / (BETA - ALPHA) for r in exact]
     again = np.flatnonzero(exact[0] > LEVELS[0])
     again = again[again > again[0] + PULSES // 2]
-    (alarm, sign, duration), ours = np.mean([_told(count) for count in counts], axis=0)
+    (alarm, sign, duration), ours = np.mean([_rates(count) for count in counts], axis=0)
 
     def shares(k: int, value: float) -> str:
         return f"{value:.0f} %; threshold delta / 2: {ours[k]:.0f} %"
