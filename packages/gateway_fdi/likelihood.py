@@ -5,8 +5,7 @@ in the window b = sum S^T V^-1 r is kept, and gives, with J the information up t
 
     2 log L = b^T J^-1 b
 
-The largest is what a threshold is for. Both the bank of observers (`pi_bank.jump`) and single residuals use it: for a
-residual in standard deviations, of which the mean jumps, S = 1 and J = d.
+The largest is what a threshold is for. For a residual in standard deviations, of which the mean jumps, S = 1 and J = d.
 """
 
 from __future__ import annotations

@@ -21,8 +21,10 @@ from gateway_fdi.jit import kernel, zeros
 from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.mathematics.gains import from_noise
 from gateway_plants.linear.mathematics.plant import LinearPlant, discretised
-from gateway_plants.linear.pi_bank import isolation
-from gateway_plants.linear.pi_bank.design import Noise, check, design
+from gateway_plants.linear.mathematics.uncertainty import entries
+from gateway_plants.linear.model_set import decision
+from gateway_plants.linear.model_set.design import EXACT_OFFSET, Told, isolable
+from gateway_plants.linear.pi_bank.design import Noise, check
 
 __all__ = ["Found", "Observer", "PiBank"]
 
@@ -36,8 +38,8 @@ class Found:
     Attributes:
         actuators: flags, shape (n, m).
         sensors: flags, shape (n, p).
-        fault: sizes of the actuators' faults, in the commands' units, shape (n, m).
-        offset: of the sensors', in the readings' units, shape (n, p).
+        fault: sizes of the faults of actuators that are named, in the commands' units, shape (n, m).
+        offset: of sensors that are, in the readings' units, shape (n, p).
         unexplained: whether what happened is not isolated, shape (n,).
         tested: whether the sample was judged, shape (n,).
     """
@@ -51,26 +53,33 @@ class Found:
 
 
 @kernel
-def _walk(s: Any, c: Any, y: Any, u: Any, flags: Any, sizes: Any) -> None:
+def _walk(s: Any, c: Any, y: Any, u: Any, unsure: Any, flags: Any, sizes: Any) -> None:
     """Step through samples; ``flags``: actuators, sensors, unexplained, tested; ``sizes``: of actuators, sensors."""
-    m, p = c.bank.m, c.bank.p
+    parts = c.filters.m + c.filters.p
     for t in range(y.shape[0]):
-        isolation.step(s, c, y[t], u[t])
-        for i in range(m):
-            flags[t, i] = s.actuator[i]
-            sizes[t, i] = s.fault[i]
-        for j in range(p):
-            flags[t, m + j] = 1 if s.latched == j and s.suspect.confirmed == 1 else 0
-            sizes[t, m + j] = s.offset[j]
-        flags[t, m + p] = s.unexplained
-        flags[t, m + p + 1] = s.tested
+        decision.step(s, c, y[t], u[t], unsure)
+        for part in range(parts):
+            flags[t, part] = 1 if decision.at_fault(s, part) else 0
+            sizes[t, part] = s.magnitude[part] if flags[t, part] == 1 else 0.0
+        flags[t, parts] = s.unexplained
+        flags[t, parts + 1] = s.tested
+
+
+def exact(
+    a: ArrayLike, b: ArrayLike, plant: LinearPlant, noise: Noise, actuator: Array, sensor: Array, *, discrete: bool
+) -> Told:
+    """Return what is told of a plant that is known exactly, with thresholds of actuators (m,) and sensors (p,)."""
+    none, offsets = np.zeros(plant.outputs), (EXACT_OFFSET * sensor, EXACT_OFFSET * actuator)
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    known, left_out = entries(a, b, 0.0, 0.0), isolable(plant)
+    return Told(plant, a, b, discrete, noise, known, actuator, sensor, left_out, none, *offsets, none, counted=False)
 
 
 def walk(s: Any, c: Any, y: Array, u: Array) -> Found:
     """Step a bank's records through samples y (n, p) with commands u (n, m)."""
     m, p = u.shape[1], y.shape[1]
     flags, sizes = np.zeros((len(y), m + p + 2), np.int64), np.zeros((len(y), m + p))
-    _walk(s, c, y, u, flags, sizes)
+    _walk(s, c, y, u, np.zeros(m, np.int64), flags, sizes)
     found = flags[:, :m], flags[:, m : m + p], sizes[:, :m], sizes[:, m:]
     return Found(*found, flags[:, m + p], flags[:, m + p + 1])
 
@@ -107,7 +116,6 @@ class PiBank:
         mtfa_s: mean time between false alarms that is asked for [s].
         start_s: time in which nothing is judged [s].
         hold_s: a sensor's fault is gone after it has been for this time [s].
-        known: the plant begins in state 0 without a fault.
         discrete: the matrices are of discrete time.
 
     Raises:
@@ -129,7 +137,6 @@ class PiBank:
         mtfa_s: float = 1e6,
         start_s: float = 5.0,
         hold_s: float = 2.0,
-        known: bool = False,
         discrete: bool = False,
     ) -> None:
         with as_input("plant"):
@@ -138,21 +145,9 @@ class PiBank:
             limits = _per(actuator, plant.inputs, "actuator")
             drifts = 0.1 * limits if drift is None else _per(drift, plant.inputs, "drift")
             noises = Noise(_per(noise, plant.outputs, "noise"), _per(disturbance, plant.states, "disturbance"), drifts)
-            self._s, self._c = zeros(1, isolation.State)[0], zeros(1, isolation.Const)[0]
-            isolation.prepare(
-                self._c,
-                self._s,
-                plant,
-                noises,
-                design(plant, noises),
-                actuator=limits,
-                sensor=_per(sensor, plant.outputs, "sensor"),
-                mtfa_s=mtfa_s,
-                start_s=start_s,
-                hold_s=hold_s,
-                known=known,
-            )
-        isolation.restart(self._s, self._c)
+            self._s, self._c = zeros(1, decision.State)[0], zeros(1, decision.Const)[0]
+            told = exact(a, b, plant, noises, limits, _per(sensor, plant.outputs, "sensor"), discrete=discrete)
+            decision.prepare(self._s, self._c, told, mtfa_s=mtfa_s, start_s=start_s, hold_s=hold_s)
 
     def __repr__(self) -> str:
         return f"PiBank({self._plant.states} states, {self._plant.inputs} commands, {self._plant.outputs} sensors)"

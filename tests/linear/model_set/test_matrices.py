@@ -80,7 +80,7 @@ def test_a_filter_predicts_with_errors_that_its_matrices_do_not_have_yet():
     x, u = np.array([1.5, 20.0, -10.0, 0.01]), np.array([6.0])
     s.z[0, :4] = x
     s.z[0, 4 : 4 + len(moved)] = moved
-    filters.predict(s, c, 0, u, np.zeros(1, np.int64), False)
+    filters.predict(s, c, 0, u, np.zeros(1, np.int64))
     exact = (expm(at(moved, given)) @ np.concatenate([x, u]))[:4]
     stale = (expm(at(0.0 * moved, given)) @ np.concatenate([x, u]))[:4]
     np.testing.assert_array_less(np.abs(s.z[0, :4] - exact), 0.02 * np.abs(stale - exact).max())

@@ -188,9 +188,9 @@ def test_without_a_counter_time_tells_what_is_lost():
     assert not any(failed.values())
 
 
-def test_the_paper_s_own_logic_says_where_it_is(tmp_path):
-    path = written(tmp_path, "aircraft", ('type = "pi_bank"', 'type = "pi_bank"\nlogic = "products"'))
-    assert "logic = 'products': the paper's own decision is in the study (gateway evaluate linear)" in refused(path)
+def test_there_is_no_choice_of_a_logic(tmp_path):
+    path = written(tmp_path, "aircraft", ('type = "pi_bank"', 'type = "pi_bank"\nlogic = "jumps"'))
+    assert "logic = 'jumps': one logic decides, with model_error or without; leave the key out" in refused(path)
 
 
 @compiled

@@ -81,6 +81,6 @@ def test_each_test_blames_all_that_it_does_not_leave_out(params):
 
 
 def test_matrices_that_are_not_exact_have_no_windows(params):
-    loose = Params(**{**params.model_dump(exclude_unset=True), "logic": "models"})
+    loose = Params(**{**params.model_dump(exclude_unset=True), "model_error": 0.05})
     assert loose.windows is None
     assert _behind(loose) == {}

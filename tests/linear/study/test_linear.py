@@ -172,7 +172,7 @@ def test_noise_makes_less_than_one_alarm_an_hour():
 def test_random_cases_are_clean():
     cases = amount(600, 75)
     print(f"seeds from {FIRST_SEED} on, {cases} cases")
-    rows = {row.case: row for row in holdout(cases, FIRST_SEED, ("jumps",))}
+    rows = {row.case: row for row in holdout(cases, FIRST_SEED, ("ours",))}
     assert sum(row.cases for row in rows.values()) == cases
     assert rows["actuator"].clean >= 0.98
     assert rows["sensor"].clean == 1.0
@@ -182,7 +182,7 @@ def test_random_cases_are_clean():
 @compiled
 @pytest.mark.full("2 s")
 def test_random_cases_with_noise():
-    rows = {row.case: row for row in holdout(amount(600, 75), FIRST_SEED, ("jumps, with noise",))}
+    rows = {row.case: row for row in holdout(amount(600, 75), FIRST_SEED, ("ours, with noise",))}
     assert rows["actuator"].clean >= 0.95
     assert rows["sensor"].clean >= 0.97
     assert rows["both"].clean >= 0.9
@@ -233,7 +233,7 @@ def test_the_controller_keeps_the_plant_stable():
 @compiled
 @pytest.mark.full("3 s")
 def test_figures(tmp_path):
-    files = draw(tmp_path / "figures", holdout(12, 0, ("products", "jumps")))
+    files = draw(tmp_path / "figures", holdout(12, 0, ("products", "ours")))
     assert [file.name for file in files] == ["fig3_to_7.png", "fig8_to_11.png", "holdout.png"]
     assert all(file.stat().st_size > 15_000 for file in files)
 

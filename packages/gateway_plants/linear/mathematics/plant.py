@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+#: Largest plant that is watched.
+MOST_STATES, MOST_INPUTS, MOST_OUTPUTS = 8, 4, 6
+
 
 @dataclass(frozen=True)
 class LinearPlant:

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.linear_algebra import copy
 from gateway_fdi.slow import delay
-from gateway_plants.linear.mathematics.plant import LinearPlant
-from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS
+from gateway_plants.linear.mathematics.plant import MOST_INPUTS, MOST_OUTPUTS, LinearPlant
 
 #: Largest lag of either sign [periods].
 MOST = delay.MOST - 1

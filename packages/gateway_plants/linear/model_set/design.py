@@ -30,14 +30,14 @@ Array = NDArray[np.float64]
 AGEING_S = 36_000.0
 #: Of offsets of healthy sensors and actuators, and their standard deviation in thresholds.
 OFFSET_S, OFFSET_SIZE = 3600.0, 0.2
+#: The latter where the matrices are exact.
+EXACT_OFFSET = 0.02
 #: Of a sensor's gain: it warms up.
 WARMING_S = 600.0
 #: Standard deviation of a fault that has begun, and of an unknown command, in thresholds; of a gain.
 FAULT_SIZE, COMMAND_SIZE, GAIN_SIZE = 30.0, 100.0, 0.5
 #: What a fault drifts within a root of a second, in thresholds; of a gain.
 DRIFT_SIZE, GAIN_DRIFT = 0.1, 0.01
-#: Share of a begun fault's variance that one which is followed takes on in a sample.
-LOOSE = 1e-3
 #: Range of a silent sensor's reading, in thresholds.
 RANGE = 100.0
 #: Share of healthy samples that look like a jump.
@@ -131,7 +131,6 @@ def prepare(c: Const, told: Told) -> None:
     c.drive[faults] = np.concatenate(drifts) ** 2 * period
     c.free[faults] = np.concatenate([fault[:m], GAIN_SIZE + nothing, fault[m:]]) ** 2
     c.command[:m] = (COMMAND_SIZE * told.actuator) ** 2
-    c.loose = LOOSE
     c.gate = chi2_above(JUMPS, p)
     c.range[:p] = [-log(RANGE * size) for size in told.sensor]
     found = hypotheses(told)

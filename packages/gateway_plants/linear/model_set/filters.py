@@ -21,7 +21,8 @@ does"; of each sensor "its offset does", of each "it tells nothing" (its reading
 last: nothing is wrong, but the plant is not linear: its entries vary within their bounds, as fast as its slowest mode
 lets its state move, and do not only age. All predict the same numbers, so that the densities of what came can be
 compared. An offset or gain that may jump is told so at a sample that is too far from what was expected: the jump may
-have begun at that sample or before it (:data:`BEGINNINGS`).
+have begun at that sample or before it (:data:`BEGINNINGS`). The fault of a part that is named (:mod:`.decision`) is let
+go under each hypothesis: the sensor is ``silent``, the actuator's offset ``followed``.
 
 What the derivatives leave out is of the second order: the share of a step's variance that comes from theta, times
 theta's relative variance, is noise beside w.
@@ -41,9 +42,9 @@ from typing import Annotated
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.linear_algebra import copy as copy_row
 from gateway_fdi.linear_algebra import decompose, dot, plus, solve
+from gateway_plants.linear.mathematics.plant import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 from gateway_plants.linear.model_set import alignment, matrices
 from gateway_plants.linear.model_set.matrices import MOST_ENTRIES, MOST_HYPOTHESES
-from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 
 #: Slow states; all states.
 MOST_SLOW = MOST_ENTRIES + 2 * MOST_INPUTS + 3 * MOST_OUTPUTS
@@ -55,6 +56,8 @@ BEGINNINGS = (0, 1, 2, 3, 5, 8, 13, 21, 34)
 BACK = 34
 #: Logarithm of the odds that a jump comes at a given sample.
 JUMP = -10.0
+#: Share of a begun fault's variance that one which is followed takes on in a sample, whatever it does.
+LOOSELY = 1e-3
 #: Change of an entry's estimate, in its bounds, from which on Phi(theta) is computed anew.
 FRESH = 0.01
 #: Change from which on the derivatives are, likewise.
@@ -89,7 +92,6 @@ class Const(Record):
     drive: Annotated[f8s, MOST_SLOW] = means("variance of a sample's change of a slow state that a hypothesis lets go")
     free: Annotated[f8s, MOST_SLOW] = means("variance of a jump of a slow state that a hypothesis lets go")
     command: Annotated[f8s, MOST_INPUTS] = means("variance of a command that is not known")
-    loose: f8 = means("share of free that a fault which is followed changes by in a sample")
     gate: f8 = means("normalised innovation squared of one sample, beyond which something jumped")
     range: Annotated[f8s, MOST_OUTPUTS] = means("density of a silent sensor's reading, as logarithm")
 
@@ -108,6 +110,9 @@ class State(Record):
     own: Annotated[f8s, MOST_OUTPUTS] = means("variance of each innovation by itself")
     square: f8 = means("normalised innovation squared")
     varies: i8 = means("1: the plant's entries vary, under every hypothesis")
+    followed: Annotated[i8s, MOST_SLOW] = means("1: the slow state is a known fault, let go under every hypothesis")
+    silent: Annotated[i8s, MOST_OUTPUTS] = means("1: the sensor's fault is known: it tells nothing, likewise")
+    loose: f8 = means("share of free that it changes by in a sample")
     past: Annotated[f8s, BACK, MOST_INPUTS] = means("commands of the samples before, newest first")
     work: Annotated[f8s, MOST_STATES, MOST] = means("scratch")
     by_slow: Annotated[f8s, MOST_STATES, MOST_SLOW] = means("derivatives of the next x by the slow states")
@@ -120,7 +125,12 @@ class State(Record):
 @kernel
 def slot(c: Const, h: int) -> int:
     """Return the slow state that a hypothesis lets go; -1: none."""
-    kind, place = c.kind[h], c.place[h]
+    return slot_of(c, c.kind[h], c.place[h])
+
+
+@kernel
+def slot_of(c: Const, kind: int, place: int) -> int:
+    """Return the slow state that is a fault of a kind; -1: none."""
     if kind == OFFSET:
         return int(c.q + place)
     if kind == GAIN:
@@ -178,21 +188,36 @@ def separate(s: State, c: Const) -> None:
         copy(s, c, 0, h)
 
 
+@kernel
+def _tells(s: State, c: Const, h: int, j: int) -> bool:
+    """Tell whether a filter takes what a sensor tells."""
+    return bool(s.silent[j] == 0 and not (c.kind[h] == SILENT and c.place[h] == j))
+
+
+@kernel
+def _add_jumps(s: State, c: Const, h: int) -> None:
+    """Let what a hypothesis is of jump; where a sensor tells nothing, what actuators may do beside."""
+    if c.kind[h] == SILENT:
+        for i in range(c.m):
+            add_jump(s, c, h, OFFSET, i)
+    else:
+        add_jump(s, c, h, c.kind[h], c.place[h])
+
+
 @kernel(inlined=False)
-def _add_jump(s: State, c: Const, h: int) -> None:
-    """Let the slow state of a hypothesis jump, at this sample or up to BACK samples before."""
-    k = slot(c, h)
-    if c.kind[h] == SENSOR:
+def add_jump(s: State, c: Const, h: int, kind: int, i: int) -> None:
+    """Let a slow state of a filter jump, at this sample or up to BACK samples before."""
+    k = slot_of(c, kind, i)
+    if kind == SENSOR:
         s.cov[h, c.n + k, c.n + k] += c.free[k]
         return
-    i = c.place[h]
     for r in range(c.n):
         s.gain[r] = 0.0  # what the fault has done to x by now
         s.work[0, r] = s.plant.now[h, r, c.n + i]  # what one sample of it has done so many samples later
     seen = 0.0  # energy of what one unit of it has shown in the samples before this one
     for back in range(BACK + 1):
         if back > 0:
-            by = 1.0 if c.kind[h] == OFFSET else s.past[back - 1, i]
+            by = 1.0 if kind == OFFSET else s.past[back - 1, i]
             for r in range(c.n):
                 s.gain[r] += s.work[0, r] * by
                 s.work[1, r] = dot(s.plant.now[h, r], s.work[0], c.n)
@@ -261,12 +286,12 @@ def _show(s: State, c: Const, h: int, j: int) -> float:
 
 @kernel(inlined=False)
 def _squared(s: State, c: Const, h: int) -> float:
-    """Return the normalised innovation squared of the innovations in ``e`` of a filter that takes all sensors."""
+    """Return the normalised innovation squared of the innovations in ``e``; one of a silent sensor is 0 there."""
     p = c.p
     for j in range(p):
         size = _show(s, c, h, j)
         for i in range(j + 1):
-            s.spread[j, i] = _seen(s, c, h, i)
+            s.spread[j, i] = _seen(s, c, h, i) if _tells(s, c, h, i) and _tells(s, c, h, j) else 0.0
         s.spread[j, j] = s.own[j] = size
     decompose(s.spread, s.spread, p)
     return float(solve(s.spread, s.e[h], s.rest, p))
@@ -290,17 +315,17 @@ def correct(s: State, c: Const, h: int, y: f8s, known: bool, restless: bool) -> 
         known: x is known; otherwise what is slow is considered only, and nothing jumps.
         restless: something may have jumped, though this sample alone does not show it.
     """
-    silent = c.place[h] if c.kind[h] == SILENT else -1
+    may_jump = known and (slot(c, h) >= 0 or (c.kind[h] == SILENT and c.q == 0))
     told, left = 0.0, 0.0
     for j in range(c.p):
-        s.e[h, j] = y[j] - _expected(s, c, h, j)
+        s.e[h, j] = y[j] - _expected(s, c, h, j) if _tells(s, c, h, j) else 0.0
     s.jumped[h] = 0
-    if known and slot(c, h) >= 0 and (restless or _squared(s, c, h) > c.gate):
-        _add_jump(s, c, h)
+    if may_jump and (restless or _squared(s, c, h) > c.gate):
+        _add_jumps(s, c, h)
         s.jumped[h] = 1
         told += JUMP
     for j in range(c.p):
-        if j == silent:
+        if not _tells(s, c, h, j):
             told += c.range[j]
             continue
         size = _show(s, c, h, j)
@@ -333,14 +358,13 @@ def _columns_of_slow(s: State, c: Const, h: int, u: f8s) -> None:
 
 
 @kernel(inlined=False)
-def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> None:
+def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s) -> None:
     """Take one filter to the next sample, the commands ``u`` held till then.
 
     Args:
         h: the filter.
         u: commands.
         unsure: of each command, 1: its frame did not come, it may be another.
-        loose: the fault of this hypothesis is known, and followed in whatever it does.
     """
     n, m, q, size = c.n, c.m, c.q, c.total
     moved, far, relative = 0.0, 0.0, 0.0
@@ -378,13 +402,13 @@ def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> Non
         for k in range(q):
             for i in range(q):
                 s.second[r] += s.by_slow[r, k] * s.cov[h, n + k, n + i] * s.by_slow[r, i]
-    _spread(s, c, h, unsure, loose, relative)
+    _spread(s, c, h, unsure, relative)
 
 
 @kernel
 def _kept(s: State, c: Const, h: int, k: int) -> float:
     """Return what a sample leaves of a slow state, under a hypothesis."""
-    if k == slot(c, h):
+    if k == slot(c, h) or s.followed[k] == 1:
         return 1.0
     if k < c.q and (s.varies == 1 or c.kind[h] == VARYING):
         return float(c.vary)
@@ -392,7 +416,7 @@ def _kept(s: State, c: Const, h: int, k: int) -> float:
 
 
 @kernel
-def _spread(s: State, c: Const, h: int, unsure: i8s, loose: bool, relative: float) -> None:
+def _spread(s: State, c: Const, h: int, unsure: i8s, relative: float) -> None:
     """Take covariance and slow states to the next sample, from what :func:`predict` has left in the scratch."""
     n, m, size = c.n, c.m, c.total
     slow, free = c.q + 2 * m, slot(c, h)
@@ -414,8 +438,10 @@ def _spread(s: State, c: Const, h: int, unsure: i8s, loose: bool, relative: floa
         for i in range(k, size - n):
             s.cov[h, n + k, n + i] *= own * _kept(s, c, h, i)
             s.cov[h, n + i, n + k] = s.cov[h, n + k, n + i]
-        if k == free:
-            s.cov[h, n + k, n + k] += c.free[k] * c.loose if loose else c.drive[k]
+        if s.followed[k] == 1:
+            s.cov[h, n + k, n + k] += c.free[k] * (LOOSELY if k == free else s.loose)
+        elif k == free:
+            s.cov[h, n + k, n + k] += c.drive[k]
         else:
             s.cov[h, n + k, n + k] += (1.0 - own * own) * c.prior[k]
 
@@ -429,18 +455,12 @@ def remember(s: State, c: Const, u: f8s) -> None:
 
 
 @kernel
-def size_of(s: State, c: Const, h: int, y: f8s, u: f8s) -> float:
-    """Return the size of the fault of a hypothesis, in the unit of its signal."""
-    kind, place = c.kind[h], c.place[h]
-    if kind == OFFSET:
-        return float(s.z[h, c.n + c.q + place])
-    if kind == GAIN:
-        return float(s.z[h, c.n + c.q + c.m + place] * u[place])
-    if kind == SENSOR:
-        return float(s.z[h, c.n + c.q + 2 * c.m + place])
-    if kind == SILENT:
-        return float(y[place] - _expected(s, c, h, place))
-    return 0.0
+def size_of(s: State, c: Const, part: int, y: f8s) -> float:
+    """Return the size of a part's fault that is followed, in the unit of its signal; actuators first, then sensors."""
+    if part < c.m:
+        return float(s.z[0, c.n + slot_of(c, OFFSET, part)])
+    j = part - c.m
+    return float(y[j] - _expected(s, c, 0, j) if s.silent[j] == 1 else s.z[0, c.n + slot_of(c, SENSOR, j)])
 
 
 @kernel
@@ -448,6 +468,6 @@ def off_the_bounds(s: State, c: Const, h: int) -> float:
     """Return the sum of squares of what is slow over its bounds: how far the plant is from what was told."""
     total = 0.0
     for k in range(c.total - c.n):
-        if c.prior[k] > 0.0:
+        if c.prior[k] > 0.0 and s.followed[k] == 0:
             total += s.z[h, c.n + k] * s.z[h, c.n + k] / c.prior[k]
     return float(total)

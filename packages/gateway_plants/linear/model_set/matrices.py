@@ -16,7 +16,7 @@ from typing import Annotated
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.linear_algebra import copy as copy_row
 from gateway_fdi.structure.generator.runtime import exponentials
-from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
+from gateway_plants.linear.mathematics.plant import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 
 #: Uncertain entries of A and B.
 MOST_ENTRIES = 40

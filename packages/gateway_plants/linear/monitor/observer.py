@@ -36,12 +36,12 @@ from gateway.monitors.evidence import words_of
 from gateway_fdi import run_length, stopping
 from gateway_fdi.jit import Record, f8, kernel, labels, means
 from gateway_fdi.quantiles import chi2_above
+from gateway_plants.linear.mathematics.plant import MOST_OUTPUTS
 from gateway_plants.linear.model_set import decision
 from gateway_plants.linear.monitor import plant as linear_plant
 from gateway_plants.linear.monitor.plant import FINDING, Inputs
 from gateway_plants.linear.monitor.refine import found, wanted
 from gateway_plants.linear.monitor.uncertain import UncertainPlantParams
-from gateway_plants.linear.pi_bank.bank import MOST_OUTPUTS
 
 
 class Const(Record):

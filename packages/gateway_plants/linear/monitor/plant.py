@@ -16,15 +16,14 @@ from gateway.monitors.sampling import Sampling
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.jit import Record, f8s, i8, i8s, kernel, means
 from gateway_fdi.structure.units import differ
-from gateway_plants.linear.mathematics.plant import LinearPlant, discretised
+from gateway_plants.linear.mathematics.plant import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES, LinearPlant, discretised
 from gateway_plants.linear.model_set import alignment
-from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 
 Matrix = tuple[tuple[float, ...], ...]
 
 #: Why a sample is not judged: the state is being found (start, gap); a change has been seen and not been isolated yet;
-#: a command was lost; no part explains what came.
-FINDING, UNDECIDED, COMMAND, AMBIGUOUS = 1, 2, 3, 4
+#: no part explains what came.
+FINDING, UNDECIDED, AMBIGUOUS = 1, 2, 4
 #: Samples missing in a row over which a plant is predicted; behind more of them it is found anew.
 MOST_MISSING = 5
 
@@ -127,7 +126,7 @@ class Output(StrictModel):
     threshold: float | None = Field(None, gt=0, description="smallest fault that counts; default 10 noise")
     accuracy: LateAccuracy | None = Field(
         None,
-        description='with logic = "models": by how much it may be off, as { gain = "0.5 %", bias = "0.1 A", '
+        description='by how much it may be off, as { gain = "0.5 %", bias = "0.1 A", '
         'lag = "5 ms" }; without a bias that is a fifth of its threshold',
     )
     dtc: str | None = Field(None, description="default: C1B21-64 and so on")

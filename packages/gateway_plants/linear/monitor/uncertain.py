@@ -13,7 +13,7 @@ from gateway_fdi.common.tomlfile import StrictModel
 from gateway_plants.linear.mathematics.plant import unobservable
 from gateway_plants.linear.mathematics.uncertainty import Entries, entries
 from gateway_plants.linear.model_set.alignment import MOST as MOST_LAG
-from gateway_plants.linear.model_set.design import OFFSET_SIZE, Told, isolable
+from gateway_plants.linear.model_set.design import EXACT_OFFSET, OFFSET_SIZE, Told, isolable
 from gateway_plants.linear.model_set.matrices import MOST_ENTRIES
 from gateway_plants.linear.monitor.plant import Matrix, Output, PlantParams
 from gateway_plants.linear.pi_bank.design import Noise
@@ -74,7 +74,7 @@ class UncertainPlantParams(PlantParams):
     @property
     def usual_offset(self) -> float:
         """Offset of a healthy sensor or actuator of which nothing is told, in its threshold."""
-        return OFFSET_SIZE
+        return EXACT_OFFSET if self.model_error is None else OFFSET_SIZE
 
     def _bias(self, part: Output) -> float:
         """Return the bias that a sensor may have, in its unit."""

@@ -1,20 +1,19 @@
-"""Our bank on the paper's plant: the isolation's own kernels on samples of a simulated run."""
+"""Our bank on the paper's plant: its own kernels on samples of a simulated run."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway_fdi.jit import zeros
-from gateway_plants.linear.arrays import Found, walk
+from gateway_plants.linear.arrays import Found, exact, walk
 from gateway_plants.linear.ecu.params import LinearFault, LinearParams, Swing
 from gateway_plants.linear.ecu.plant import simulate
-from gateway_plants.linear.pi_bank import isolation
-from gateway_plants.linear.pi_bank.design import Noise, Observer, check, design
+from gateway_plants.linear.model_set import decision
+from gateway_plants.linear.pi_bank.design import Noise
 from gateway_plants.linear.study import example
 
 Array = NDArray[np.float64]
@@ -31,31 +30,13 @@ def noise() -> Noise:
     return Noise(np.full(3, example.NOISE), np.full(4, 1e-4), np.full(2, drift))
 
 
-@cache
-def observers() -> tuple[Observer, ...]:
-    """Return the bank."""
-    check(example.plant())
-    return design(example.plant(), noise())
-
-
-def records(start_s: float, *, known: bool) -> tuple[Any, Any]:
+def records(start_s: float) -> tuple[Any, Any]:
     """Return state and constants of a bank before its first sample."""
-    s, c = zeros(1, isolation.State), zeros(1, isolation.Const)
-    isolation.prepare(
-        c[0],
-        s[0],
-        example.plant(),
-        noise(),
-        observers(),
-        actuator=np.full(2, example.ACTUATOR_LIMIT),
-        sensor=np.full(3, example.SENSOR_LIMIT),
-        mtfa_s=MTFA,
-        start_s=start_s,
-        hold_s=2.0,
-        known=known,
-    )
-    isolation.restart(s[0], c[0])
-    return s[0], c[0]
+    s, c = zeros(1, decision.State)[0], zeros(1, decision.Const)[0]
+    limits = np.full(2, example.ACTUATOR_LIMIT), np.full(3, example.SENSOR_LIMIT)
+    told = exact(example.A, example.B, example.plant(), noise(), *limits, discrete=False)
+    decision.prepare(s, c, told, mtfa_s=MTFA, start_s=start_s, hold_s=2.0)
+    return s, c
 
 
 #: Samples of a long flight whose noise is drawn at a time.
@@ -84,9 +65,9 @@ def drive(noise_std: float, *, stable: bool) -> LinearParams:
 
 
 def run(faults: tuple[LinearFault, ...], noise_std: float, rng: np.random.Generator) -> Found:
-    """Return what the bank finds in the paper's 12 s from its known state 0."""
+    """Return what the bank finds in the paper's 12 s."""
     y, u = simulate(drive(noise_std, stable=False), faults, example.DURATION, rng)
-    return walk(*records(1.0, known=True), y, u)
+    return walk(*records(1.0), y, u)
 
 
 @dataclass(frozen=True)
@@ -110,7 +91,7 @@ def quiet(sigma: float, hours: float, seed: int) -> Quiet:
     """Fly healthy with moving commands, and count the alarms: flags that go up."""
     plant, feedback, rng = example.plant(), np.array(FEEDBACK), np.random.default_rng(seed)
     count, judged, alarms = round(hours * 3600 / example.PERIOD), 0, 0
-    bank, x = records(5.0, known=False), np.zeros(plant.states)
+    bank, x = records(5.0), np.zeros(plant.states)
     before: Any = np.zeros((1, 4), np.int64)
     closed = plant.phi - plant.gamma @ feedback
     for first in range(0, count, PORTION):

@@ -14,7 +14,7 @@ from gateway_plants.linear.study.bank import run
 from gateway_plants.linear.study.continuous import observe
 
 KINDS = ("actuator", "sensor", "both")
-METHODS = ("products, as printed", "products", "jumps", "jumps, with noise")
+METHODS = ("products, as printed", "products", "ours", "ours, with noise")
 #: Seeds below were used while the decisions were made.
 FIRST_SEED = 100_000
 

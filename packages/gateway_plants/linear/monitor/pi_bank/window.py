@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from gateway_fdi.jit import Record, f8s, i8, kernel, means
 from gateway_fdi.linear_algebra import copy
 from gateway_fdi.quantiles import chi2_above
-from gateway_plants.linear.mathematics.plant import Array, LinearPlant
-from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS
+from gateway_plants.linear.mathematics.plant import MOST_INPUTS, MOST_OUTPUTS, Array, LinearPlant
 
 #: Samples that are looked at.
 LENGTH = 48
