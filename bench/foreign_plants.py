@@ -6,6 +6,9 @@ Each drive is of another plant (:mod:`foreign`), 5 to 8 % off and not quite of t
 of its own, with quantised signals and a frame in a thousand lost. The gateway is calibrated on ten healthy drives of
 300 s, seeds 1 to 10, once a folder, and plays each drive frame by frame as the daemon does.
 
+Plants of the arena (spring, buck, stiff_motor, quad, wind) have the model's structure, and parameters that are 5 % off.
+Only singles and healthy drives are of use there; their times are longer or shorter by their pace.
+
 - singles: one fault from 40 to 60 s on, 120 s in all. pairs: a second one at once, or up to 20 s later.
 - start: one from before the start; from 2 to 15 s on; or intermittent at 1 to 10 Hz, in turn.
 - healthy: drives of 300 s.
@@ -33,6 +36,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it
 
 import numpy as np
 from foreign.air import AIR
+from foreign.arena import ARENA
 from foreign.car import CAR
 from foreign.motor import MOTOR
 from foreign.plant import Array, Plant
@@ -43,7 +47,8 @@ from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
 from gateway_plants.structural.study.drives import BEGIN, calibrated, configuration, frames_of
 
-PLANTS = {plant.name: plant for plant in (CAR, AIR, MOTOR)}
+OURS = (CAR, AIR, MOTOR)
+PLANTS = {plant.name: plant for plant in (*OURS, *ARENA)}
 HEALTHY, HEALTHY_S, FAULTY_S, LOST = range(1, 11), 300.0, 120.0, 1e-3
 #: Faults of one statement, at most; quantile of the intervals.
 MOST, Z = 3, 1.96
@@ -130,10 +135,10 @@ def statement(plant: Plant, faults: set[str], code: Mapping[str, Any]) -> tuple[
 
 def drawn(plant: Plant, command: str, number: int, seed: int) -> list[tuple[Fault, float]]:
     """Return the faults of a drive, and when they begin [s]: each fault and size in turn, pairs at random."""
-    rng, count = np.random.default_rng([seed, 3]), round(FAULTY_S / plant.period_s)
+    rng, count = np.random.default_rng([seed, 3]), round(FAULTY_S * plant.pace / plant.period_s)
     t = np.arange(count) * plant.period_s
     every = [(name, size) for name, sizes in plant.faults.items() for size in sizes]
-    onset = float(rng.uniform(40.0, 60.0))
+    onset = float(rng.uniform(40.0, 60.0)) * plant.pace
     if command == "singles":
         return [((*every[number % len(every)], 1.0 * (t >= onset)), onset)]
     if command == "pairs":
@@ -189,7 +194,7 @@ def prepared(plant: Plant, folder: Path) -> Path:
     if not file.exists() or "calibrated" not in file.read_text():
         folder.mkdir(parents=True, exist_ok=True)
         configuration(plant, folder)
-        count = round(HEALTHY_S / plant.period_s)
+        count = round(HEALTHY_S * plant.pace / plant.period_s)
         calibrated(file, *(frames_of(plant, plant.drive(k, count, {})) for k in HEALTHY))
     return file
 
@@ -199,7 +204,7 @@ def rows_of(plant: Plant, file: Path, command: str, args: argparse.Namespace) ->
     config = load_config(file)
     for number, seed in enumerate(range(args.seed, args.seed + args.count)):
         faults = [] if command == "healthy" else drawn(plant, command, number, seed)
-        seconds = HEALTHY_S if command == "healthy" else FAULTY_S
+        seconds = plant.pace * (HEALTHY_S if command == "healthy" else FAULTY_S)
         events = events_of(plant, config, file, seed, seconds, [fault for fault, _ in faults])
         row = judged(plant, seed, [(f[0], f[1], at) for f, at in faults], events)
         if args.json:
@@ -217,7 +222,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("foreign_plants"), help="of the calibrated configurations")
     parser.add_argument("--json", type=Path, help="file for a line of each drive")
     args = parser.parse_args()
-    for name in args.plant or PLANTS:
+    for name in args.plant or [plant.name for plant in OURS]:
         file = prepared(PLANTS[name], args.folder)
         print(f"{name}: {file}")
         for command in args.commands:

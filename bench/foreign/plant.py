@@ -1,6 +1,6 @@
 """A plant of other make: a model as a user writes it, and a drive that its own solver makes.
 
-Its structure is not the model's. Plants of gateway_plants/structural/study/foreign.py have that, with other parameters.
+Its structure is not the model's. Plants of the study, which the arena has too, have that, with other parameters.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ class Plant:
         options: lines of a configuration.
         faults: fault -> its sizes, in the unit that it has in the model.
         sensors: fault -> the known variable of the sensor that it is in; others are of parts.
+        pace: by which all times of a drive are longer.
         drive: (seed, samples, faults) -> what the sensors show, shape (samples, knowns). The seed draws the plant, its
             drive and its noise; faults are fault -> size at each sample.
     """
@@ -39,6 +40,7 @@ class Plant:
     faults: Mapping[str, tuple[float, ...]]
     sensors: Mapping[str, str]
     drive: Callable[[int, int, Mapping[str, Array]], Array]
+    pace: float = 1.0
 
     def part(self, fault: str) -> str:
         """Return the component that a fault is of, as a diagnosis names it."""

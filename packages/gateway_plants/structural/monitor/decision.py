@@ -217,9 +217,7 @@ def _answer(s: State, c: Const) -> int:
 @kernel
 def _contradicted(s: State, c: Const) -> bool:
     """Return whether a test has fired that speaks against the name that stands."""
-    if not machine.contradicted(s):
-        return False
-    return not (s.weighed == 1 and within(s.likely, c.group[s.found]))
+    return machine.contradicted(s) and not (s.weighed == 1 and within(s.likely, c.group[s.found]))
 
 
 @kernel

@@ -10,7 +10,9 @@ that its model lacks, and most of them look like its parameters. Noise is taken 
 Of each fault the likelihood is that of :mod:`gateway_fdi.evidence.hypotheses`, with the scale of its size from what it
 fits best, so that no prior of a size is asked for. As much as the best fault leaves beyond the noise, all are worth
 less. What a block says counts less with each block that follows: what a model lacks lasts as long as a manoeuvre, and
-would add up for ever; what a fault leaves comes again.
+would add up for ever; what a fault leaves comes again. Where something may be off, a block that leaves more than its
+noise, whatever is off and whatever each gain's size, counts as if its noise were larger: else it would be that of all
+blocks, and end what stands.
 
 It speaks above SPEAKS; where something may be off, also above what healthy logs show of it. What a model lacks looks
 like one fault more than like others (tyres that are no line), and no theory says how much. Residuals of so many times
@@ -25,9 +27,10 @@ together: up to :data:`~.decision.MOST_TOGETHER` of them are told as one of seve
 
 What was found may be no single fault of this model:
 
-- **Two faults** (:mod:`.fault_pairs`). From SPEAKS on, until it falls below LESS, the best fault has no name, and
-  pairs are listed beside it: what a model lacks may look like a second fault. From TWO on they are told; a fault of
-  all pairs that fit is sure.
+- **Two faults** (:mod:`.fault_pairs`). Where they fit better by more than chance, the best fault keeps its name, but
+  is not the cause: the two are as possible. From SPEAKS on, until it falls below LESS, it has no name, and pairs are
+  listed beside it: what a model lacks may look like a second fault. From TWO on they are told, if they explain a share
+  more; a fault of all pairs that fit is sure. Where nothing may be off, two have to leave no more than noise.
 - **No fault of the model.** Of what the residuals have beyond their noise the best one leaves more than a share, beside
   what a model leaves that is off; and enough to speak.
 - **A test** has fired for sure that none of those that fit best sees.
@@ -59,11 +62,11 @@ from gateway_fdi.evidence import blocks, model
 from gateway_fdi.evidence.hypotheses import of_fault
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import f8, f8s, i8, kernel, means
-from gateway_fdi.linear_algebra import add
+from gateway_fdi.linear_algebra import add, decompose, solve
 from gateway_fdi.linear_algebra import copy as copy_row
-from gateway_fdi.masks import clear, copy, empty, has, include, within
+from gateway_fdi.masks import clear, copy, disjoint, empty, has, include, unite, within
 from gateway_plants.structural.monitor import fault_pairs
-from gateway_plants.structural.monitor.fault_pairs import KEPT, LEANS, LENGTHS, LESS
+from gateway_plants.structural.monitor.fault_pairs import KEPT, LEANS, LENGTHS, LESS, NEARLY
 from gateway_plants.structural.monitor.plan import Plan
 
 #: Size of the fault that runs beside a test.
@@ -74,12 +77,14 @@ NEAR = 0.2
 MOST_COLUMNS = 150
 #: By which what may be off moves from block to block, a share of its bound; error of a gain, a share of it.
 JITTER, ERROR = 0.3, 0.3
-#: Share of the best one's likelihood by which a fault that fits less well is unlikely; what it takes to speak at all:
-#: of healthy cars that are 8 % off one reached it in 12 hours.
-NEARLY, SPEAKS = 0.1, 20.0
+#: What it takes to speak at all: of healthy cars that are 8 % off one reached it in 12 hours.
+SPEAKS = 20.0
 #: Logarithm of the likelihood ratio of two faults to one, by which both are told: of 114 faults alone, of cars that are
 #: 8 % off, two reached it.
 TWO = 45.0
+#: Share of what two explain that the best fault alone does not, by which both are told. Share of the best one's
+#: likelihood by which two that fit better make it uncertain.
+SHARE, DOUBT = 0.1, 0.05
 #: Share of what is beyond noise that the best fault has to explain; variances of the noise that it may leave besides.
 #: T over J of a test that is no chance.
 FITS, BEYOND, SURE = 0.9, 1.0, 3.0
@@ -104,6 +109,8 @@ class State(fault_pairs.State, lengths=LENGTHS):
     rests: i8 = means("1: the tests have begun anew, while faults ran beside them")
     first: i8 = means("fault that fits best; -1: none")
     second: f8 = means("logarithm of the likelihood ratio of two faults to one")
+    besides: f8 = means("share of what two faults explain that the best one alone does not")
+    doubt: i8 = means("1: the best fault is likely, and two may fit better")
     gone: f8 = means("logarithm of the likelihood that it is there still, against that it has gone; 0 at most")
     known_a: Annotated[f8s, "columns", "columns"] = means("A of what was known before")
     r: Annotated[f8s, "residuals"] = means("residuals, without what was known to be off")
@@ -165,14 +172,14 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
     if near and s.rests == 1:
         s.awake = 1
         blocks.drop(s)
+        s.own_squares = s.own_looks = 0.0
         return True
     s.awake = own.awaits = 1 if near else 0
     s.rests = 0
     own.weighed = 0
     clear(own.paired)
-    for w in range(len(own.likely)):
-        own.before[w] |= own.last[w]
-        own.last[w] = 0
+    unite(own.before, own.last)
+    clear(own.last)
     if not near:
         return False
     blocks.drop(s)
@@ -200,31 +207,23 @@ def _is_another(own: Any, own_const: Any) -> bool:
 
 @kernel
 def know(s: Any, c: Any, slow: Any) -> None:
-    """Take over what the slow filter knows: its inverse covariance is the information (Gauss and Jordan).
+    """Take over what the slow filter knows: its inverse covariance is the information.
 
     Where faults have rested only, what was known before stays.
     """
     if s.rests == 1:
         return
-    n = c.slow
-    a, inverse = s.work_a, s.since_a
+    n, a = c.slow, s.work_a
     for i in range(n):
         s.x[i] = slow.taken[i]
-        for j in range(n):
-            a[i, j] = slow.p[i, j] + (1e-9 if i == j else 0.0)
-            inverse[i, j] = 1.0 if i == j else 0.0
+        copy_row(a[i], slow.p[i], n)
+        a[i, i] += 1e-9
+    decompose(a, a, n)
     for i in range(n):
-        pivot = a[i, i]
-        for j in range(n):
-            a[i, j] /= pivot
-            inverse[i, j] /= pivot
-        for k in range(n):
-            factor = a[k, i]
-            if k != i and factor != 0.0:
-                add(a[k], -factor, a[i], n)
-                add(inverse[k], -factor, inverse[i], n)
-    for i in range(n):
-        copy_row(s.known_a[i], inverse[i], n)
+        s.work_b[:] = 0.0
+        s.work_b[i] = 1.0
+        solve(a, s.work_b, s.known_a[i], n)
+        copy_row(s.since_a[i], s.known_a[i], n)
 
 
 @kernel
@@ -236,39 +235,61 @@ def take(s: Any, c: Any, own: Any, own_const: Any) -> None:
         if own.waits[k] == 1 or not settled or not c.share[k] > 0.0:
             s.r[k] = np.nan
         if isfinite(s.r[k]):
-            s.squares += c.weight[k] * s.r[k] * s.r[k]
-            s.looks += c.share[k]
+            s.own_squares += c.weight[k] * s.r[k] * s.r[k]
+            s.own_looks += c.share[k]
     if not blocks.add(s, c, s.r, s.h, s.g):
         return
     n = c.slow + c.first[c.faults]
-    s.squares -= blocks.close(s, c)
+    s.own_squares -= blocks.close(s, c)
+    if c.slow > 0:
+        _weigh(s, c, n)
     if s.first >= 0 and empty(own.paired):  # of two, either may have the other's size
         s.gone = min(s.gone, 0.0) + _still(s, c, s.first, n)
         if s.gone < -LESS * s.excess:
             s.held = 1
             own.weighed = own.weighed if 0 <= own.found < own_const.groups else 0
             return
-    s.squares *= KEPT
-    s.looks *= KEPT
+    s.squares = KEPT * s.squares + s.own_squares
+    s.looks = KEPT * s.looks + s.own_looks
     for i in range(n):
         s.since_b[i] = KEPT * s.since_b[i] + s.b[i]
         for j in range(n):
             s.since_a[i, j] = KEPT * s.since_a[i, j] + (1.0 - KEPT) * s.known_a[i, j] + s.a[i, j]
     fault_pairs.take(s, n)
     blocks.drop(s)
+    s.own_squares = s.own_looks = 0.0
     _judge(s, c, own, own_const, n)
 
 
 @kernel
-def _left(s: Any, c: Any, a: Any, b: Any, n: int) -> float:
-    """Copy a form into the scratch, and integrate out what may be off; returns what it explains."""
+def _weigh(s: Any, c: Any, n: int) -> None:
+    """Let a block count less that leaves more than noise whatever is off, whatever the size of each gain."""
+    most = (1.0 + BEYOND) * s.own_looks
+    left = s.own_squares - _left(s, s.a, s.b, 0.0, n, n)
+    if left > most:
+        weight = most / left
+        s.own_squares *= weight
+        for i in range(n):
+            s.b[i] *= weight
+            for j in range(n):
+                s.a[i, j] *= weight
+
+
+@kernel
+def _left(s: Any, a: Any, b: Any, known: float, n: int, most: int) -> float:
+    """Copy a form and a share of what was known into the scratch, and integrate out the first columns.
+
+    Returns what these explain.
+    """
     explained = 0.0
     copy_row(s.work_b, b, n)
     for i in range(n):
         copy_row(s.work_a[i], a[i], n)
-    for i in range(c.slow):
-        explained += s.work_b[i] ** 2 / s.work_a[i, i]
-        blur(s.work_a, s.work_b, n, i, 0.0)
+        add(s.work_a[i], known, s.known_a[i], n)
+    for i in range(most):
+        if s.work_a[i, i] > 1e-9 * a[i, i]:
+            explained += s.work_b[i] ** 2 / s.work_a[i, i]
+            blur(s.work_a, s.work_b, n, i, 0.0)
     return explained
 
 
@@ -276,27 +297,22 @@ def _left(s: Any, c: Any, a: Any, b: Any, n: int) -> float:
 def _still(s: Any, c: Any, f: int, n: int) -> float:
     """Return the logarithm of a block's likelihood that a fault has the size it had, against that it has gone.
 
-    Where two fit better, either may be beside another one: of both the largest likelihood counts.
+    Another fault may be there besides, and is less likely unless one has shown: of both the largest likelihood counts.
     """
-    for i in range(c.slow):
-        for j in range(c.slow):
-            s.a[i, j] += s.known_a[i, j]
-    _left(s, c, s.a, s.b, n)
-    for i in range(c.slow):
-        for j in range(c.slow):
-            s.a[i, j] -= s.known_a[i, j]
+    _left(s, s.a, s.b, 1.0, n, c.slow)
     (product, information), size = _moments(s, c, f), s.found[f]
     there, gone = 0.0, 0.0
+    less = 0.0 if s.second > LESS else LESS * s.excess
     for g in range(c.faults):
         y, own = _moments(s, c, g)
-        if g == f or not own > 0.0 or s.second <= LESS:
+        if g == f or not own > 0.0:
             continue
         shared = 0.0
         for i in range(c.slow + c.first[f], c.slow + c.first[f + 1]):
             for j in range(c.slow + c.first[g], c.slow + c.first[g + 1]):
                 shared += s.work_a[i, j]
-        gone = max(gone, 0.5 * y * y / own)
-        there = max(there, 0.5 * (y - shared * size) ** 2 / own)
+        gone = max(gone, 0.5 * y * y / own - less)
+        there = max(there, 0.5 * (y - shared * size) ** 2 / own - less)
     return float(product * size - 0.5 * information * size * size + there - gone)
 
 
@@ -324,7 +340,7 @@ def _ratio(s: Any, c: Any, f: int) -> float:
 @kernel
 def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
     """Find the faults that are likely by all blocks."""
-    left = s.squares - s.looks - _left(s, c, s.since_a, s.since_b, n)
+    left = s.squares - s.looks - _left(s, s.since_a, s.since_b, 0.0, n, c.slow)
     best, s.first = 0.0, -1
     for f in range(c.faults):
         s.likelihood[f] = _ratio(s, c, f)
@@ -335,9 +351,7 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
     best /= s.excess
     clear(own.likely)
     two, stood = own.weighed == 2, not empty(own.paired)
-    own.weighed, own.awaits, known = 0, 1, False
-    for k in range(own_const.tests):
-        known = known or own.norm[k] > 1.0
+    own.weighed, own.awaits, known = 0, 1, not empty(own.up)
     limit, rest = c.limit[max(s.first, 0)], left - 2.0 * best * s.excess
     if rest > (1.0 - FITS) * left + BEYOND * s.looks:
         rest /= 2.0 * s.excess * c.limit[c.faults]
@@ -345,13 +359,16 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
         s.peak[c.faults] = max(s.peak[c.faults], rest)
     if s.first >= 0:
         s.peak[s.first] = max(s.peak[s.first], best / limit)
-    s.second = 0.0
+    s.second = s.besides = 0.0
     if known and left > 2.0 * SPEAKS * s.excess:
         s.second = fault_pairs.second(s, c, own, left, best)
-    fit = c.slow > 0 and left - 2.0 * s.two <= (1.0 - FITS) * left + BEYOND * s.looks
-    if not fit or s.second <= (LESS if stood else SPEAKS):
+        s.besides = 1.0 - best * s.excess / s.two
+    s.doubt = 1 if s.second > max(0.5 * LESS, DOUBT * best) else 0
+    share = 1.0 - FITS if c.slow > 0 else 0.0
+    fit = left - 2.0 * s.two <= share * left + BEYOND * s.looks
+    if not (fit or stood) or s.second <= (LESS if stood else SPEAKS):
         clear(own.paired)
-    elif s.second > (LESS if two else TWO):
+    elif s.second > (LESS if two else TWO) and s.besides > SHARE:
         copy(own.likely, own.paired)
         copy(own.last, own.paired)
         own.weighed, own.awaits, s.stands = 2, 0, 0
@@ -392,8 +409,5 @@ def _lean(s: Any, c: Any, own: Any, best: float) -> None:
 def _recall(own: Any) -> None:
     """Let the faults that were likely before stay likely beside others."""
     copy(own.last, own.likely)
-    same = False
-    for w in range(len(own.likely)):
-        same = same or own.likely[w] & own.before[w] != 0
-    for w in range(len(own.likely)):
-        own.likely[w] |= 0 if same else own.before[w]
+    if disjoint(own.likely, own.before):
+        unite(own.likely, own.before)

@@ -21,10 +21,12 @@ from gateway_fdi.evidence import model
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.linear_algebra import copy
-from gateway_fdi.masks import clear, include
+from gateway_fdi.masks import clear, exclude, include
 
 #: Logarithm of the likelihood by which a fault, or a pair of them, that fits less well is unlikely.
 LESS = 6.0
+#: Share of what is explained by which a fault is unlikely besides; and faults that take the place of some of a pair.
+NEARLY, PAIR_NEARLY = 0.1, 0.005
 #: Share of the best one's from which on a fault is not out of the question while sizes are not sure.
 LEANS = 0.5
 #: Share of what a block says that the next one leaves.
@@ -43,10 +45,11 @@ class State(model.State, lengths=LENGTHS):
     since_b: Annotated[f8s, "columns"] = means("b of all blocks")
     squares: f8 = means("sum of squares of the residuals over their noise")
     looks: f8 = means("number of independent residuals")
+    own_squares: f8 = means("squares of the block at hand")
+    own_looks: f8 = means("independent residuals of the block at hand")
     alone: Annotated[f8s, "faults"] = means("logarithm of the likelihood ratio of each fault alone")
     excess: f8 = means("variance of what the best fault leaves, over that of the noise, 1 at least")
-    together: Annotated[f8s, "faults"] = means("logarithm of the likelihood ratio of each with the best one beside it")
-    without: Annotated[f8s, "faults"] = means("likewise of the best two without it")
+    both: Annotated[f8s, "faults", "faults"] = means("logarithm of the likelihood ratio of each pair")
     pair: Annotated[i8s, 2] = means("faults that were the best two; -1: none")
     two: f8 = means("logarithm of the likelihood ratio of the best two")
     count: i8 = means("blocks since the start")
@@ -62,13 +65,12 @@ def begin(s: Any) -> None:
     """Forget all blocks."""
     s.since_b[:] = 0.0
     s.since_a[:, :] = 0.0
-    s.squares = s.looks = 0.0
+    s.squares = s.looks = s.own_squares = s.own_looks = 0.0
     s.count = 0
     s.pair[:] = -1
-    for k in range(ONSETS):
-        s.age[k] = 0
-        s.later_b[k, :] = 0.0
-        s.later_a[k, :, :] = 0.0
+    s.age[:] = 0
+    s.later_b[:, :] = 0.0
+    s.later_a[:, :, :] = 0.0
 
 
 @kernel
@@ -116,8 +118,7 @@ def second(s: Any, c: Any, own: Any, left: float, best: float) -> float:
     p, n = c.slow, c.slow + c.first[c.faults]
     s.two, onset = -inf, -1
     one, other = s.pair[0], s.pair[1]
-    for f in range(c.faults):
-        s.together[f] = s.without[f] = -inf
+    s.both[:, :] = -inf
     for k in range(-1, ONSETS):
         if k >= 0 and s.age[k] < s.count:
             _join(s, c, k)
@@ -134,19 +135,14 @@ def second(s: Any, c: Any, own: Any, left: float, best: float) -> float:
                     continue
                 if value > s.two:
                     s.two, onset, s.pair[0], s.pair[1] = value, k, f, g
-                _note(s, c, f, g, value)
+                s.both[f, g] = s.both[g, f] = max(s.both[f, g], value)
     if 0 <= onset < MOVING:
         _move(s, MOVING, onset)
     clear(own.sure)
     clear(own.paired)
     if s.two == -inf:
         return -inf  # no two can be told apart
-    excess = max((left + s.looks - 2.0 * s.two) / s.looks, 1.0)
-    for f in range(c.faults):
-        if s.two - s.together[f] <= LESS * excess:
-            include(own.paired, f)
-            if s.two - s.without[f] > LESS * excess:
-                include(own.sure, f)
+    _list(s, c, own, max((left + s.looks - 2.0 * s.two) / s.looks, 1.0))
     return _likelihood(s, left - 2.0 * s.two) - _likelihood(s, left - 2.0 * best * s.excess)
 
 
@@ -161,13 +157,28 @@ def _likelihood(s: Any, left: float) -> float:
 
 
 @kernel
-def _note(s: Any, c: Any, f: int, g: int, value: float) -> None:
-    """Keep the likelihood of a pair: the largest of its two, and of the others without them."""
-    for k in range(c.faults):
-        if k in (f, g):
-            s.together[k] = max(s.together[k], value)
-        else:
-            s.without[k] = max(s.without[k], value)
+def _list(s: Any, c: Any, own: Any, excess: float) -> None:
+    """List the faults of all pairs that fit, and those that each of these pairs has."""
+    include(own.sure, s.pair[0])
+    include(own.sure, s.pair[1])
+    for f in range(c.faults):
+        for g in range(f):
+            if s.two - s.both[f, g] > LESS * excess + PAIR_NEARLY * _at_stake(s, f, g):
+                continue
+            include(own.paired, f)
+            include(own.paired, g)
+            for k in s.pair:
+                if k not in (f, g):
+                    exclude(own.sure, k)
+
+
+@kernel
+def _at_stake(s: Any, f: int, g: int) -> float:
+    """Return what the best pair explains by the faults that two others take the place of."""
+    kept = 0.0
+    for k in s.pair:
+        kept += s.alone[k] if k in (f, g) else 0.0
+    return max(s.two - kept, 0.0)
 
 
 @kernel

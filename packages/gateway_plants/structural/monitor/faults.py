@@ -166,8 +166,6 @@ _FIRES = 0.8
 #: How likely one fault alone looks like two. By it one of them is not told as the cause, and two neither: what a model
 #: lacks may look so.
 _LOOKS_LIKE_TWO = 0.002
-#: Share of what the best fault explains that a second one has to explain besides.
-_SHARE = 0.1
 #: How likely a fault that is there alone is not found unlikely (0.99), as :class:`Blame` has it.
 _FITS = 1.1
 
@@ -223,9 +221,11 @@ def levels(plan: Plan, state: Any) -> list[float]:
             unpack(np.asarray(own[name])[None, :], len(plan.faults))[0] for name in ("likely", "paired", "sure")
         )
         named = plan.diagnoses[own["found"]] if own["by_size"] and 0 <= own["found"] < len(plan.diagnoses) else ()
+        fit = state["fit"]
+        doubted = {plan.faults[k] for k in fit["pair"] if said == 1 and fit["doubt"]}
         fits = [
             2.0 if said == 2 and two and not (f in named and len(named) > 1)
-            else nan if one or pair or f in named else 0.0
+            else nan if one or pair or f in named or f in doubted else 0.0
             for f, one, pair, two in zip(plan.faults, likely, paired, sure, strict=True)
         ]  # fmt: skip
         alone = likely if said != 2 else np.zeros_like(likely)
@@ -235,7 +235,7 @@ def levels(plan: Plan, state: Any) -> list[float]:
         weighed = [2.0, *fits, *more, *better]
         if said == 0 or (said < 0 and not paired.any()):
             weighed = [-inf] * len(weighed)
-            if not own["by_size"] and _needs_two(state["fit"]):
+            if not own["by_size"] and _needs_two(fit):
                 weighed[-len(better) :] = [2.0] * len(better)
         if said == 2 or (said != 1 and own["by_size"] == 1):
             return weighed + [-inf] * len(plan.tests)
@@ -244,10 +244,10 @@ def levels(plan: Plan, state: Any) -> list[float]:
         max(float(norm), 1.0) if up else min(float(norm), 0.0) for norm, up in zip(own["norm"], fired, strict=False)
     ]
     if said != 0:
-        names = [f for f, one in zip(plan.faults, likely, strict=True) if one] if said == 1 else []
+        names = doubted.union(f for f, one in zip(plan.faults, likely, strict=True) if one and said == 1)
         levels = [
             (nan if said == 1 else level) if level < 1.0
-            else level if level >= fault_likelihood.SURE and set(names) <= set(test.faults)
+            else level if level >= fault_likelihood.SURE and names <= set(test.faults)
             else -inf
             for level, test in zip(levels, plan.tests, strict=True)
         ]  # fmt: skip
@@ -255,12 +255,11 @@ def levels(plan: Plan, state: Any) -> list[float]:
 
 
 def _needs_two(fit: Any) -> bool:
-    """Return whether two faults fit better than the best one by a share of what that explains.
+    """Return whether two faults fit better than the best one by a share of what they explain.
 
     A fault whose gains are off by a few percent leaves less than that share, however large it is.
     """
-    told = fit["second"] * fit["excess"]
-    return bool(fit["second"] > fault_likelihood.TWO and told > _SHARE * fit["alone"].max())
+    return bool(fit["second"] > fault_likelihood.TWO and fit["besides"] > fault_likelihood.SHARE)
 
 
 def _sensors(model: Model) -> dict[str, str]:
