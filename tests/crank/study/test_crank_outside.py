@@ -3,13 +3,14 @@
 import pytest
 
 from gateway_fdi.jit import COMPILED
-from gateway_plants.crank.study.outside import METHODS, WHEELS, _outcomes, jobs, summed
+from gateway_plants.crank.study import outside
+from gateway_plants.crank.study.outside import METHODS, WHEELS, jobs, summed
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="statistics need the compiled kernels")
 
 
 def outcomes(group, case, wheel="60-2", runs=4):
-    return {row.method: row for row in _outcomes((group, case, wheel, runs, 7))}
+    return {row.method: row for row in outside.outcomes((group, case, wheel, runs, 7))}
 
 
 def test_a_healthy_idle_of_three_cylinders_has_no_report():
@@ -34,7 +35,7 @@ def test_a_dropout_is_reported_by_all_and_wrong_by_some():
 def test_there_is_a_job_for_each_case_and_wheel_and_a_sum_of_them():
     made = jobs(1, 3)
     assert len(made) == len({job[:2] for job in made}) * len(WHEELS)
-    rows = [row for wheel in ("60-2", "36-1") for row in _outcomes(("runout", "1 %", wheel, 2, 3))]
+    rows = [row for wheel in ("60-2", "36-1") for row in outside.outcomes(("runout", "1 %", wheel, 2, 3))]
     (ours,) = [row for row in summed(rows) if row.method == "adaptive"]
     assert ours.runs == 4
     assert ours.pulses == sum(row.pulses for row in rows if row.method == "adaptive")

@@ -1,8 +1,12 @@
-"""Healthy engines and sensors outside the regular sweep, and dropouts: the methods side by side.
+"""Healthy engines and sensors outside the regular sweep, dropouts and noise: the methods side by side.
 
 A run is a train of its own seed. Counted are the runs with a report (of the peers: a loss of synchronisation), and
 those with a wrong tooth while synchronisation was proven; in dropouts wrong counts from two turns behind the dropout
-on.
+on, and behind the last pulse of noise. That is one disturbance of 1 to 40 pulses, at any tooth or in the largest gap:
+
+* *burst*: pulses at random times within one interval;
+* *ring*: pulses at 8 to 20 kHz behind one edge, as an amplifier rings behind an ignition;
+* *chatter*: one to three pulses close behind each of several teeth.
 """
 
 from __future__ import annotations
@@ -29,6 +33,10 @@ ORDERS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
 AMPLITUDES = {250.0: (0.1, 0.2, 0.3, 0.4), 850.0: (0.04, 0.06, 0.08, 0.1, 0.12)}
 #: Turns of a train, and before a dropout; what is judged begins so many turns behind it.
 TURNS, BEFORE, GRACE = 40, 10, 2
+#: Kinds of noise and speeds [rpm]; its most pulses, share of it that is put into the largest gap, frequency of ringing
+#: [Hz].
+KINDS, SPEEDS_RPM = ("burst", "ring", "chatter"), (200.0, 600.0, 1500.0, 3000.0, 8000.0)
+MOST_PULSES, IN_GAP, RING_HZ = 40, 0.3, (8e3, 20e3)
 
 #: Pulse times [us], the tooth of each, and the first pulse from which on a wrong tooth counts.
 Train = tuple[NDArray[np.float64], NDArray[np.int64], int]
@@ -114,6 +122,35 @@ def _dropout(rpm: float) -> Callable[[Wheel, np.random.Generator, int], Train]:
         at = BEFORE * wheel.pulses + int(rng.integers(wheel.pulses))
         gone = np.arange(at, at + number % 40 + 1)
         return np.delete(times, gone), np.delete(teeth, gone), at + GRACE * wheel.pulses
+
+    return make
+
+
+def _extra(times: NDArray[np.float64], at: int, kind: str, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return the times of noise behind pulse ``at`` [us]."""
+    count = int(rng.integers(1, MOST_PULSES + 1))
+    width = times[at + 1] - times[at]
+    if kind == "burst":
+        return np.asarray(times[at] + width * np.sort(rng.uniform(0.02, 0.98, count)))
+    if kind == "ring":
+        return np.asarray(times[at] + np.arange(1, count + 1) * 1e6 / rng.uniform(*RING_HZ))
+    pieces = []
+    for k in range(max(1, count // 2)):
+        shares = np.cumsum(rng.uniform(0.02, 0.1, int(rng.integers(1, 4))))
+        pieces.append(times[at + k] + shares * (times[at + k + 1] - times[at + k]))
+    return np.concatenate(pieces)
+
+
+def _noise(kind: str, rpm: float) -> Callable[[Wheel, np.random.Generator, int], Train]:
+    def make(wheel: Wheel, rng: np.random.Generator, _: int) -> Train:
+        times, teeth, _first = _speed(rpm)(wheel, rng, 0)
+        at = (BEFORE + 1) * wheel.pulses - 1
+        if rng.random() >= IN_GAP:
+            at = BEFORE * wheel.pulses + int(rng.integers(wheel.pulses))
+        extra = np.rint(_extra(times, at, kind, rng))
+        times, kept = np.unique(np.concatenate([times, extra]), return_index=True)
+        teeth = np.concatenate([teeth, np.full(len(extra), -1)])[kept]
+        return times, teeth, int(np.searchsorted(times, extra.max()))
 
     return make
 
@@ -205,6 +242,7 @@ def _cases() -> dict[tuple[str, str], Callable[[Wheel, np.random.Generator, int]
     made[("start and stop", "20 to 900 to 60 rpm")] = _start_and_stop
     made |= {("turned back", "at a stop"): _stop, ("turned back", "at a start"): _start}
     made[("turned back", "rocks, and starts")] = _rock
+    made |= {("noise", f"{kind}, {rpm:.0f} rpm"): _noise(kind, rpm) for kind in KINDS for rpm in SPEEDS_RPM}
     return made
 
 
@@ -213,7 +251,7 @@ def jobs(runs: int, seed: int) -> list[tuple[str, str, str, int, int]]:
     return [(group, case, wheel, runs, seed) for group, case in _cases() for wheel in WHEELS]
 
 
-def _outcomes(job: tuple[str, str, str, int, int]) -> list[Outcome]:
+def outcomes(job: tuple[str, str, str, int, int]) -> list[Outcome]:
     """Run one case on one wheel by all methods."""
     group, case, text, runs, seed = job
     wheel, make = Wheel.parse(text), _cases()[(group, case)]
@@ -244,7 +282,7 @@ def outside(runs: int, seed: int, progress: Progress = lambda: None) -> list[Out
         progress: called at the end of each job.
     """
     warm(METHODS)
-    return run(_outcomes, jobs(runs, seed), progress)
+    return run(outcomes, jobs(runs, seed), progress)
 
 
 def summed(rows: list[Outcome]) -> Iterator[Outcome]:
