@@ -1,4 +1,4 @@
-"""Healthy engines and sensors outside the regular sweep, dropouts and noise: the methods side by side.
+"""Healthy engines outside the regular sweep, dropouts, noise and wrong wheels: the methods side by side.
 
 A run is a train of its own seed. Counted are the runs with a report (of the peers: a loss of synchronisation), and
 those with a wrong tooth while synchronisation was proven; in dropouts wrong counts from two turns behind the dropout
@@ -7,6 +7,10 @@ on, and behind the last pulse of noise. That is one disturbance of 1 to 40 pulse
 * *burst*: pulses at random times within one interval;
 * *ring*: pulses at 8 to 20 kHz behind one edge, as an amplifier rings behind an ignition;
 * *chatter*: one to three pulses close behind each of several teeth.
+
+Of a *wrong wheel* the pulses of another one come than of the configured one, and each place that is proven is wrong.
+Pulses that one wheel gives with a defect and another one without are the same, and no method tells them apart:
+docs/crank/crank.md has the table.
 """
 
 from __future__ import annotations
@@ -37,6 +41,12 @@ TURNS, BEFORE, GRACE = 40, 10, 2
 #: [Hz].
 KINDS, SPEEDS_RPM = ("burst", "ring", "chatter"), (200.0, 600.0, 1500.0, 3000.0, 8000.0)
 MOST_PULSES, IN_GAP, RING_HZ = 40, 0.3, (8e3, 20e3)
+#: Wheels that are taken for each other, and their speeds [rpm].
+WRONG_WHEEL, MIXED_RPM = "wrong wheel", (300.0, 1500.0, 6000.0)
+MIXED = (
+    "60-2", "36-1", "36-2", "30-2", "24-1", "24-2", "12-1", "8-1", "6-1", "12+1",
+    "36-2-1", "36-2-1-1", "36-2-2-2", "4-2",
+)  # fmt: skip
 
 #: Pulse times [us], the tooth of each, and the first pulse from which on a wrong tooth counts.
 Train = tuple[NDArray[np.float64], NDArray[np.int64], int]
@@ -155,6 +165,10 @@ def _noise(kind: str, rpm: float) -> Callable[[Wheel, np.random.Generator, int],
     return make
 
 
+def _other(real: str, rpm: float) -> Callable[[Wheel, np.random.Generator, int], Train]:
+    return lambda _, rng, number: _speed(rpm)(Wheel.parse(real), rng, number)
+
+
 def turning_times(
     wheel: Wheel, pieces: Sequence[tuple[float, float]], rpm: float, width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -243,22 +257,28 @@ def _cases() -> dict[tuple[str, str], Callable[[Wheel, np.random.Generator, int]
     made |= {("turned back", "at a stop"): _stop, ("turned back", "at a start"): _start}
     made[("turned back", "rocks, and starts")] = _rock
     made |= {("noise", f"{kind}, {rpm:.0f} rpm"): _noise(kind, rpm) for kind in KINDS for rpm in SPEEDS_RPM}
+    made |= {(WRONG_WHEEL, f"{real}, {rpm:.0f} rpm"): _other(real, rpm) for real in MIXED for rpm in MIXED_RPM}
     return made
 
 
 def jobs(runs: int, seed: int) -> list[tuple[str, str, str, int, int]]:
-    """Return the jobs of :func:`outside`, ``runs`` of each case and wheel."""
-    return [(group, case, wheel, runs, seed) for group, case in _cases() for wheel in WHEELS]
+    """Return the jobs of :func:`outside`, ``runs`` of each case and wheel that is configured."""
+    return [
+        (group, case, wheel, runs, seed)
+        for group, case in _cases()
+        for wheel in (MIXED if group == WRONG_WHEEL else WHEELS)
+        if not (group == WRONG_WHEEL and case.startswith(f"{wheel},"))
+    ]
 
 
 def outcomes(job: tuple[str, str, str, int, int]) -> list[Outcome]:
     """Run one case on one wheel by all methods."""
     group, case, text, runs, seed = job
     wheel, make = Wheel.parse(text), _cases()[(group, case)]
-    number = list(_cases()).index((group, case))
+    number, wheels = list(_cases()).index((group, case)), MIXED if group == WRONG_WHEEL else WHEELS
     rows = {m: Outcome(group, case, text, m, runs, 0, 0, 0, 0.0, {}) for m in METHODS}
     for k in range(runs):
-        times, teeth, first = make(wheel, np.random.default_rng([seed, number, WHEELS.index(text), k]), k)
+        times, teeth, first = make(wheel, np.random.default_rng([seed, number, wheels.index(text), k]), k)
         for method, row in rows.items():
             found = follower_of(method, text)(times)
             right = found.teeth % wheel.repeats == teeth[1:] % wheel.repeats
