@@ -35,9 +35,6 @@ def evaluate_crank(
     outside: Annotated[
         int, typer.Option(min=0, help="Number of runs per engine, defect and wheel outside the regular sweep; 0: none.")
     ] = 0,
-    pairs: Annotated[
-        int, typer.Option(min=0, help="Number of runs per configured wheel, real wheel and speed; 0: none.")
-    ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
     json: Json = False,
     plot: Annotated[Path | None, typer.Option(help="Draw Figs. 2 to 5 of the paper into this folder.")] = None,

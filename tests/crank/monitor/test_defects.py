@@ -249,6 +249,7 @@ def test_a_tooth_broken_off_beside_one_of_several_gaps_is_named():
         times, teeth = engine(text, 1500.0, 40, [57, side])
         found = follower("adaptive", Wheel.parse(text))(times[teeth != side])
         assert told(found) == ({"missed_pulse"}, {side})
+        assert broken_teeth(found) == {side}, "the wheel is its cause"
         assert not found.proven.any(), text
 
 

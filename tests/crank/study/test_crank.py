@@ -13,7 +13,7 @@ from gateway_fdi.jit import COMPILED
 from gateway_plants.crank.study.cases import Train, with_fault
 from gateway_plants.crank.study.constant_speed import displacement
 from gateway_plants.crank.study.follow import follower
-from gateway_plants.crank.study.outside import _outcomes
+from gateway_plants.crank.study.outside import outcomes
 from gateway_plants.crank.study.paper import ALPHA, BETA, GAIN, GAMMA, PULSES, claims, fault_signal, paper_run
 from gateway_plants.crank.study.table import GRACE, judge, monte_carlo
 from gateway_plants.crank.wheel import Wheel
@@ -139,5 +139,5 @@ def test_strong_ripple_is_learned_without_a_report(wheel, seed):
 
     Before, the first of these lost synchronisation when the ripple was learned, the second had an added pulse.
     """
-    found = {row.method: row for row in _outcomes(("order, 850 rpm", "4 x 12 %", wheel, 16, seed))}
+    found = {row.method: row for row in outcomes(("order, 850 rpm", "4 x 12 %", wheel, 16, seed))}
     assert (found["adaptive"].reports, found["adaptive"].wrong) == (0, 0), found["adaptive"].named

@@ -14,7 +14,7 @@ import numpy as np
 
 from gateway_fdi.jit import Record, f8s, i4, i4s, kernel, means
 from gateway_plants.crank.wheel import Wheel
-from gateway_plants.crank.wheel_estimation import WHOLE, Seen
+from gateway_plants.crank.wheel_estimation import Seen, fits
 
 #: Wheels that are made, as their pulses show them.
 MADE = (
@@ -59,16 +59,7 @@ def shown(c: Const, se: Seen) -> bool:
     """Tell whether the wheel that is seen is one of them, from any pulse on."""
     first = 0
     for k in range(c.count):
-        pulses = c.pulses[k]
-        if pulses == se.pulses:
-            for shift in range(pulses):
-                at, same = first + shift, True
-                for i in range(pulses):
-                    if abs(c.pitches[at] - se.pitches[i]) > WHOLE:
-                        same = False
-                        break
-                    at = at + 1 if at + 1 < first + pulses else first
-                if same:
-                    return True
-        first += pulses
+        if c.pulses[k] == se.pulses and fits(se, c.pitches[first:], se.pulses):
+            return True
+        first += c.pulses[k]
     return False

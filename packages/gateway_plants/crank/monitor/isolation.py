@@ -5,7 +5,7 @@ from __future__ import annotations
 from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
 from gateway_plants.crank.monitor import anchor, defects, noise, runout, turns, wrong_wheel
-from gateway_plants.crank.monitor.faults import ADDED, DAMAGED, MISSED, NOISE, PULSES_LOST, SYNC_LOST, Reports
+from gateway_plants.crank.monitor.faults import ADDED, MISSED, NOISE, PULSES_LOST, SYNC_LOST, Reports
 from gateway_plants.crank.monitor.sync_state import (
     CONFIRMED,
     MARKED,
@@ -238,5 +238,4 @@ def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) ->
         s.recent_added = 0
     defects.learn(s.defects, c.pulses, tooth, net, s.teeth)
     if own and net > 0 and s.placed > NOT_TOLD and c.turns == 1 and s.defects.turns >= defects.SURE:
-        d = report(out, DAMAGED, True, net, turns.BENT).damaged
-        d.tooth, d.off, d.speed = tooth_of(s, c, tooth), net, speed(s, c)
+        turns.tell_broken(tooth_of(s, c, tooth), net, speed(s, c), out)

@@ -306,7 +306,6 @@ def _show(s: State, c: Const) -> None:
     s.corrections = f.corrections
     s.losses = f.losses
     s.reversals = f.reversal.total
-    s.half = s.cam.half
 
 
 @kernel

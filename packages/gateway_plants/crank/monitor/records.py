@@ -51,7 +51,6 @@ class State(Record):
     corrections: i8 = means("pulses missed less those added")
     losses: i8 = means("places lost")
     reversals: i8 = means("times that the engine turned back")
-    half: i8 = means("half of the working cycle, 0 or 1; -1: not known")
     cam: cam.State = means("the cam")
     phase: phase.Phase = means("place by the cam alone")
     fast: sync_state.State = means("place on the wheel")

@@ -129,6 +129,13 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
 
 
 @kernel
+def tell_broken(tooth: int, number: int, rpm: float, out: Reports) -> None:
+    """Report teeth that each turn lacks, from ``tooth`` on (-1: not told which): they are the wheel's."""
+    d = report(out, DAMAGED, True, number, BENT).damaged
+    d.tooth, d.off, d.speed = tooth, number, rpm
+
+
+@kernel
 def note_speed(s: State, rpm: float) -> None:
     """Note the speed of a revolution [rpm]."""
     s.speed_rpm = rpm

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
 from gateway_plants.crank.monitor import defects, no_gap, runout, turns, wrong_wheel
-from gateway_plants.crank.monitor.faults import ADDED, DAMAGED, DOUBLED, MISSED, NO_GAP, UNWATCHED, Reports
+from gateway_plants.crank.monitor.faults import ADDED, DOUBLED, MISSED, NO_GAP, UNWATCHED, Reports
 from gateway_plants.crank.monitor.place_proof import TOLD, held_back
 from gateway_plants.crank.monitor.sync_state import TENTATIVE, Const, State, shape, tell_held
 
@@ -59,9 +59,8 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         shape(s, c, number if number > 0 else s.defects.count, 0, s.held)
         s.held.tooth = -1  # every place that is left has it, each at another tooth
         tell_held(s, MISSED if number > 0 else ADDED, out)
-        if number > 0:  # the wheel's, which each turn says anew
-            missing = report(out, DAMAGED, True, number, turns.BENT).damaged
-            missing.tooth, missing.off, missing.speed = -1, number, s.held.speed
+        if number > 0:
+            turns.tell_broken(-1, number, s.held.speed, out)
             return
     elif (again or wrong_wheel.expected(s) or wrong_wheel.unsure(s, c)) and wa.pulses < LONG_PATIENCE * patience:
         return

@@ -163,6 +163,7 @@ def _tell_beside(s: State, c: Const, parts: int, missing: int, out: Reports) -> 
         return
     if other == defective_wheel.NONE:
         _tell_missing(s, c, missing, tooth, out)
+        turns.tell_broken(tooth, missing, s.speed_rpm, out)
         return
     e = report(out, TWO_PLACES, True, s.seen.turns, TURNS).two_places
     e.tooth, e.other, e.speed = tooth, other, _speed(s, c)

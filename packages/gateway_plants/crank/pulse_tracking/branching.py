@@ -14,7 +14,6 @@ from gateway_fdi.jit import kernel
 from gateway_plants.crank.pulse_tracking.motion import (
     TORQUE,
     Hypothesis,
-    copy,
     correct,
     spread,
     torque,
@@ -178,8 +177,8 @@ def _associate(tr: Tracker, h: Hypothesis, parent: Parent, p: Prediction, pulses
         cause: NOISE, JOLT, OUTLIER or SLIP.
         cost: of that [nat].
     """
+    tr.spare[0] = h
     child = tr.spare[0]
-    copy(child, h)
     child.cost += cost
     child.index = p.tooth
     if p.missed > 0:
@@ -204,8 +203,8 @@ def _associate(tr: Tracker, h: Hypothesis, parent: Parent, p: Prediction, pulses
 @kernel
 def _hold_for_clutter(tr: Tracker, h: Hypothesis, cost: float) -> None:
     """Make a spare hypothesis that holds the pulse for spurious, at a cost [nat]."""
+    tr.spare[0] = h
     child = tr.spare[0]
-    copy(child, h)
     child.cost += cost
     if h.added <= 0:
         child.added_at = h.index

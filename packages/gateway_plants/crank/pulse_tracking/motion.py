@@ -46,29 +46,6 @@ class Hypothesis(Record):
     outlier: u1 = means("1: it took that pulse for an edge far off")
 
 
-@kernel
-def copy(a: Hypothesis, b: Hypothesis) -> None:
-    """Copy hypothesis ``b`` to ``a``."""
-    a.elapsed = b.elapsed
-    a.period = b.period
-    a.growth = b.growth
-    a.p11 = b.p11
-    a.p12 = b.p12
-    a.p13 = b.p13
-    a.p22 = b.p22
-    a.p23 = b.p23
-    a.p33 = b.p33
-    a.cost = b.cost
-    a.index = b.index
-    a.missed = b.missed
-    a.added = b.added
-    a.missed_at = b.missed_at
-    a.added_at = b.added_at
-    a.clutter = b.clutter
-    a.associated = b.associated
-    a.outlier = b.outlier
-
-
 #: Process noise per pitch: variances of the position [pitch^2] and of ln T. They are the engine's, not the
 #: sensor's: a noisy sensor is smoothed, not followed. That of the growth depends on the speed.
 Q1, Q2 = 0.6e-4, 0.3e-4

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gateway_fdi.jit import kernel
-from gateway_plants.crank.pulse_tracking.motion import Hypothesis, copy
+from gateway_plants.crank.pulse_tracking.motion import Hypothesis
 from gateway_plants.crank.pulse_tracking.tracker import COARSE, MOST, Tracker
 
 #: Hypotheses so much less likely than the best are dropped [nat]; what was decided can be taken back until then.
@@ -39,15 +39,15 @@ def merge(tr: Tracker, made: int) -> int:
         other = tr.banks[first + k]
         if _alike(other, new, tolerance):
             if new.cost < other.cost:
-                copy(other, new)
+                tr.banks[first + k] = new
             return made
         if other.cost > greatest_cost:
             place, greatest_cost = k, other.cost
     if made < MOST:
-        copy(tr.banks[first + made], new)
+        tr.banks[first + made] = new
         return made + 1
     if place >= 0:
-        copy(tr.banks[first + place], new)
+        tr.banks[first + place] = new
     return made
 
 
@@ -60,11 +60,10 @@ def prune(tr: Tracker, made: int) -> float:
     for k in range(1, made):
         if tr.banks[first + k].cost < tr.banks[first + place].cost:
             place = k
-    spare = tr.spare[0]
     if place > 0:
-        copy(spare, tr.banks[first])
-        copy(tr.banks[first], tr.banks[first + place])
-        copy(tr.banks[first + place], spare)
+        tr.spare[0] = tr.banks[first]
+        tr.banks[first] = tr.banks[first + place]
+        tr.banks[first + place] = tr.spare[0]
     least = tr.banks[first].cost
     margin = COARSE_MARGIN if tr.variance > COARSE else MARGIN
     kept = 0
@@ -72,7 +71,7 @@ def prune(tr: Tracker, made: int) -> float:
         h = tr.banks[first + k]
         if h.cost <= least + margin:
             if kept != k:
-                copy(tr.banks[first + kept], h)
+                tr.banks[first + kept] = h
             tr.banks[first + kept].cost -= least
             kept += 1
     tr.count = kept

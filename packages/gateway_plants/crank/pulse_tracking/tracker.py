@@ -6,7 +6,7 @@ from math import exp
 from typing import Annotated
 
 from gateway_fdi.jit import Record, f8, f8s, i4, i4s, i8, kernel, means
-from gateway_plants.crank.pulse_tracking.motion import LEAST_SQUARE, MOST_GROWTH, Hypothesis, copy
+from gateway_plants.crank.pulse_tracking.motion import LEAST_SQUARE, MOST_GROWTH, Hypothesis
 from gateway_plants.crank.wheel import MOST_TEETH
 
 #: Hypotheses held at once.
@@ -138,7 +138,7 @@ def keep_reported(tr: Tracker) -> None:
         other = tr.banks[first + k]
         if other.cost < HESITATION and other.associated == 1 and other.missed == 0 and other.added == 0:
             if k > 0:
-                copy(tr.banks[first], other)
+                tr.banks[first] = other
             break
     keep_best(tr)
 

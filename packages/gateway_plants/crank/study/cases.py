@@ -149,8 +149,3 @@ def cranking(wheel: Wheel, pulses: int, rng: np.random.Generator, ripple: float 
     """Return a healthy train at 250 rpm with strong compression ripple, 2 per revolution [us]."""
     duration = pulses / wheel.pulses / (250.0 / 60)
     return healthy(wheel, [(0.0, 250.0)], duration, rng, ripple=((2.0, ripple),))
-
-
-def labels(wheel: Wheel, count: int) -> NDArray[np.int64]:
-    """Return the teeth of a healthy train."""
-    return np.arange(count) % wheel.pulses

@@ -10,15 +10,13 @@ from rich.progress import Progress
 from rich.table import Table
 
 from gateway_bench.cli.study import beside, headed, show
-from gateway_plants.crank.study import noise, paper
 from gateway_plants.crank.study import outside as beyond
-from gateway_plants.crank.study import pairs as wrong
+from gateway_plants.crank.study import paper
 from gateway_plants.crank.study.table import (
     KINDS,
     Alarms,
     Score,
     alarm_jobs,
-    as_dict,
     false_alarms,
     fault_jobs,
     monte_carlo,
@@ -79,63 +77,16 @@ def _outside_table(rows: list[beyond.Outcome]) -> Table:
     return table
 
 
-def _noise_table(rows: list[noise.Outcome]) -> Table:
-    """Return the bursts, ringing and chatter: what a method made of them over all wheels and speeds."""
-    title = "Noise: runs with a wrong proven tooth / proven after two turns / untold / cranking"
-    table = headed(title, ["kind", "runs", *noise.METHODS])
-    for kind in noise.KINDS:
-        shown = []
-        for method in noise.METHODS:
-            mine = [row for row in rows if (row.kind, row.method) == (kind, method)]
-            keys = ("wrong", "late", "silent", "cranking")
-            shown.append(" / ".join(str(sum(getattr(row, key) for row in mine)) for key in keys))
-        table.add_row(kind, str(sum(row.runs for row in rows if (row.kind, row.method) == (kind, "adaptive"))), *shown)
-    return table
-
-
-def _pair_tables(rows: list[wrong.Outcome]) -> list[Table]:
-    """Return the matrix of wheels, and what was told where it was not the mismatch alone; none without rows."""
-    if not rows:
-        return []
-    named, runs = sum(row.named for row in rows), sum(row.runs for row in rows)
-    title = (
-        f"Configured wheel (row), real wheel (column): {named} of {runs} runs named alone within {wrong.WITHIN}"
-        " turns\n=: all runs named"
-    )
-    matrix = headed(title, ["", *wrong.WHEELS])
-    for told in wrong.WHEELS:
-        cells = []
-        for real in wrong.WHEELS:
-            mine = [row for row in rows if (row.told, row.real) == (told, real)]
-            missed = sum(row.runs - row.named for row in mine)
-            cells.append(str(-missed) if missed else "=" if mine else "")
-        matrix.add_row(told, *cells)
-    details = headed(
-        "Runs not named alone, and runs with a place proven",
-        ["configured", "real", "rpm", "named", "latest turn", "proven", "told instead"],
-    )
-    for row in rows:
-        if row.named < row.runs or row.proven:
-            told = ", ".join(f"{name} {count}" for name, count in row.reports.items())
-            cells = [row.told, row.real, f"{row.rpm:.0f}", f"{row.named}/{row.runs}", f"{row.turn:.1f}"]
-            details.add_row(*cells, str(row.proven), told)
-    return [matrix, details]
-
-
-def crank(*, runs: int, pulses: int, outside: int, pairs: int, seed: int, json: bool, plot: Path | None) -> int:
+def crank(*, runs: int, pulses: int, outside: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the crankshaft methods; returns the exit code."""
     faults, healthy = fault_jobs(runs, seed), alarm_jobs(pulses, seed)
     others = beyond.jobs(outside, seed) if outside else []
-    bursts = noise.jobs(outside, seed) if outside else []
-    mismatched = wrong.jobs(pairs, seed) if pairs else []
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        total = (len(faults) if runs else 0) + len(healthy) + len(others) + len(bursts) + len(mismatched)
+        total = (len(faults) if runs else 0) + len(healthy) + len(others)
         task = bar.add_task("crank", total=total)
         scores = monte_carlo(runs, seed, lambda: bar.advance(task)) if runs else []
         alarms = false_alarms(pulses, seed, lambda: bar.advance(task)) if pulses else []
         rows = beyond.outside(outside, seed, lambda: bar.advance(task)) if outside else []
-        disturbed = noise.gauntlet(outside, seed, lambda: bar.advance(task)) if outside else []
-        matrix = wrong.pairs(pairs, seed, lambda: bar.advance(task)) if pairs else []
     files: list[Path] = []
     if plot is not None:
         from gateway_plants.crank.study.figures import draw  # noqa: PLC0415 - slow to load
@@ -144,15 +95,14 @@ def crank(*, runs: int, pulses: int, outside: int, pairs: int, seed: int, json: 
     claims = paper.claims()
     document = {
         "paper": claims, "seed": seed,
-        "faults": [as_dict(score) for score in scores], "healthy": [as_dict(row) for row in alarms],
-        "outside": rows, "noise": disturbed, "pairs": matrix,
+        "faults": scores, "healthy": alarms,
+        "outside": rows,
     }  # fmt: skip
     tables = [beside(claims), *_scores(scores)]
     tables += [_alarm_table(alarms)] if alarms else []
     tables += [_outside_table(rows)] if rows else []
-    tables += [_noise_table(disturbed)] if disturbed else []
     notes = [_explained(seed)] if scores or alarms else []
-    return show(document, [*tables, *_pair_tables(matrix)], notes, files=files, json=json)
+    return show(document, tables, notes, files=files, json=json)
 
 
 def _explained(seed: int) -> str:

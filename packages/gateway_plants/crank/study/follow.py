@@ -64,17 +64,12 @@ def _paper(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: A
 
 
 @kernel
-def _ratio(s: Any, pulses: int, gap: float, y: Any, teeth: Any, proven: Any) -> None:
+def _peer(s: Any, by_ratio: bool, pulses: int, gap: float, y: Any, teeth: Any, proven: Any) -> None:
     for k in range(y.shape[0]):
-        ratio(s, pulses, gap, y[k])
-        teeth[k] = s.index if s.synced == 1 else -1
-        proven[k] = s.synced == 1
-
-
-@kernel
-def _threshold(s: Any, pulses: int, gap: float, y: Any, teeth: Any, proven: Any) -> None:
-    for k in range(y.shape[0]):
-        threshold(s, pulses, gap, y[k])
+        if by_ratio:
+            ratio(s, pulses, gap, y[k])
+        else:
+            threshold(s, pulses, gap, y[k])
         teeth[k] = s.index if s.synced == 1 else -1
         proven[k] = s.synced == 1
 
@@ -114,7 +109,7 @@ def follower(
             alarms = int(s[0]["alarms"])
         else:
             s = zeros(1, PEER)
-            (_ratio if method == "ratio" else _threshold)(s[0], pulses, gap, y, teeth, proven)
+            _peer(s[0], method == "ratio", pulses, gap, y, teeth, proven)
             alarms = int(s[0]["losses"])
         found = reports[:n].astype(np.int64)
         return Followed(teeth, proven, found[:, 0], found[:, 1], found[:, 2], found[:, 3], alarms, reversals)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from gateway_bench.study_pool import Progress, run
 from gateway_plants.crank.monitor.faults import ADDED, MISSED, PULSES_LOST
 from gateway_plants.crank.monitor.isolation import LOSS
-from gateway_plants.crank.study.cases import Kind, Train, cranking, labels, sweep, with_fault
+from gateway_plants.crank.study.cases import Kind, Train, cranking, sweep, with_fault
 from gateway_plants.crank.study.follow import METHODS, Followed, Method, follower_of, warm
 from gateway_plants.crank.wheel import Wheel
 
@@ -150,7 +150,7 @@ def _alarms(job: tuple[str, str, float, int, int]) -> list[Alarms]:
         times = cranking(wheel, pulses, rng)
     else:
         times = sweep(wheel, pulses, jitter, rng)
-    truth = labels(wheel, len(times))[1:]
+    truth = np.arange(1, len(times)) % wheel.pulses
     found = []
     for method in METHODS:
         followed = follower_of(method, text)(times)
@@ -208,8 +208,3 @@ def false_alarms(pulses: int, seed: int, progress: Progress = lambda: None) -> l
         else:
             total[key] = row
     return list(total.values())
-
-
-def as_dict(row: Score | Alarms) -> dict[str, Any]:
-    """Return a row for JSON."""
-    return asdict(row)
