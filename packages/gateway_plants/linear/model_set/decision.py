@@ -562,8 +562,15 @@ def _alone(s: State, c: Const, y: f8s) -> None:
 
 @kernel
 def _start(s: State, c: Const, y: f8s) -> None:
-    """Take a sample of the start."""
-    filters.correct(s.filters, c.filters, 0, y, s.done >= c.found, False)
+    """Take a sample of the start.
+
+    Where matrices are exact what is slow is learned only from samples that it explains: a fault is none of it.
+    """
+    known = s.done >= c.found
+    if known and c.filters.q == 0:
+        filters.innovate(s.filters, c.filters, 0, y)
+        known = s.filters.square < c.doubt
+    filters.correct(s.filters, c.filters, 0, y, known, False)
     s.done += 1
     if s.done >= c.start:
         s.misfits[0] = c.filters.p
