@@ -213,7 +213,7 @@ def test_of_faults_that_sizes_leave_no_test_proves_one():
     neither = np.zeros_like(both)
     own = {"weighed": 1, "likely": both, "fired": both, "norm": [5.0, 5.0], "found": -1, "by_size": 1}
     own |= {"paired": neither, "sure": neither}
-    sure = {"pair": np.array([1, 0]), "doubt": 0, "second": 0.0, "besides": 0.0}
+    sure = {"pair": np.array([1, 0]), "doubt": 0}
     nan, never = np.nan, -np.inf
 
     def said(fit=sure, **more):
@@ -230,6 +230,6 @@ def test_of_faults_that_sizes_leave_no_test_proves_one():
     pair = {"paired": both, "likely": one}
     np.testing.assert_equal(said(weighed=-1, **pair), [2.0, nan, nan, never, 2.0, 2.0, never, *silent])
     np.testing.assert_equal(said(weighed=2, **pair, sure=one), [2.0, 2.0, nan, 2.0, never, never, never, *silent])
-    for besides, better in ((0.11, 2.0), (0.09, never)):  # where nothing may be off: a tenth of what two explain
-        told = said(sure | {"second": 50.0, "besides": besides}, weighed=-1, by_size=0)
-        np.testing.assert_equal(told, [*([never] * 5), better, better, 5.0, 5.0])
+    for best, better in ((900.0, 2.0), (1100.0, never)):  # where nothing may be off: a tenth of what one explains
+        two = sure | {"second": 50.0, "excess": 2.0, "alone": np.array([best, 10.0])}
+        np.testing.assert_equal(said(two, weighed=-1, by_size=0), [*([never] * 5), better, better, 5.0, 5.0])

@@ -30,7 +30,7 @@ What was found may be no single fault of this model:
 - **Two faults** (:mod:`.fault_pairs`). Where they fit better by more than chance, the best fault keeps its name, but
   is not the cause: the two are as possible. From SPEAKS on, until it falls below LESS, it has no name, and pairs are
   listed beside it: what a model lacks may look like a second fault. From TWO on they are told, if they explain a share
-  more; a fault of all pairs that fit is sure. Where nothing may be off, two have to leave no more than noise.
+  more; a fault of all pairs that fit is sure. Where nothing may be off, the tests name pairs.
 - **No fault of the model.** Of what the residuals have beyond their noise the best one leaves more than a share, beside
   what a model leaves that is off; and enough to speak.
 - **A test** has fired for sure that none of those that fit best sees.
@@ -364,8 +364,7 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
         s.second = fault_pairs.second(s, c, own, left, best)
         s.besides = 1.0 - best * s.excess / s.two
     s.doubt = 1 if s.second > max(0.5 * LESS, DOUBT * best) else 0
-    share = 1.0 - FITS if c.slow > 0 else 0.0
-    fit = left - 2.0 * s.two <= share * left + BEYOND * s.looks
+    fit = c.slow > 0 and left - 2.0 * s.two <= (1.0 - FITS) * left + BEYOND * s.looks
     if not (fit or stood) or s.second <= (LESS if stood else SPEAKS):
         clear(own.paired)
     elif s.second > (LESS if two else TWO) and s.besides > SHARE:

@@ -255,11 +255,12 @@ def levels(plan: Plan, state: Any) -> list[float]:
 
 
 def _needs_two(fit: Any) -> bool:
-    """Return whether two faults fit better than the best one by a share of what they explain.
+    """Return whether two faults fit better than the best one by a share of what that explains.
 
     A fault whose gains are off by a few percent leaves less than that share, however large it is.
     """
-    return bool(fit["second"] > fault_likelihood.TWO and fit["besides"] > fault_likelihood.SHARE)
+    more = fit["second"] * fit["excess"]
+    return bool(fit["second"] > fault_likelihood.TWO and more > fault_likelihood.SHARE * fit["alone"].max())
 
 
 def _sensors(model: Model) -> dict[str, str]:
