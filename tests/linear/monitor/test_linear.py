@@ -188,6 +188,12 @@ def test_without_a_counter_time_tells_what_is_lost():
     assert not any(failed.values())
 
 
+def test_a_plant_that_is_too_large_is_refused():
+    large = {"a": (-np.eye(9)).tolist(), "b": np.ones((9, 2)).tolist(), "c": np.eye(9)[:3].tolist()}
+    with pytest.raises(ValueError, match="9 states; at most 8"):
+        Params(**entry("aircraft") | large)
+
+
 def test_there_is_no_choice_of_a_logic(tmp_path):
     path = written(tmp_path, "aircraft", ('type = "pi_bank"', 'type = "pi_bank"\nlogic = "jumps"'))
     assert "logic = 'jumps': one logic decides, with model_error or without; leave the key out" in refused(path)
