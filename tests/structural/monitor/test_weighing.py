@@ -110,6 +110,10 @@ def test_of_two_faults_none_is_likely(config, gain):
     assert weighed(config, drive(SEED, bias=-0.2)) == (["f_b"], False)
 
 
+def test_a_fault_has_not_ended_where_another_one_begins(config):
+    assert weighed(config, drive(SEED, gain=0.02, bias=0.3, second=30.0)) == ([], False)
+
+
 @pytest.fixture(scope="module")
 def uncertain(tmp_path_factory):
     found = configuration(SPEEDS, tmp_path_factory.mktemp("uncertain"), 'sensors = { c = { gain = "0.1 %" } }\n')
