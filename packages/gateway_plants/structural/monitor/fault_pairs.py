@@ -178,7 +178,7 @@ def _at_stake(s: Any, f: int, g: int) -> float:
     kept = 0.0
     for k in s.pair:
         kept += s.alone[k] if k in (f, g) else 0.0
-    return max(s.two - kept, 0.0)
+    return float(max(s.two - kept, 0.0))
 
 
 @kernel
