@@ -109,7 +109,6 @@ class State(fault_pairs.State, lengths=LENGTHS):
     rests: i8 = means("1: the tests have begun anew, while faults ran beside them")
     first: i8 = means("fault that fits best; -1: none")
     second: f8 = means("logarithm of the likelihood ratio of two faults to one")
-    besides: f8 = means("share of what two faults explain that the best one alone does not")
     doubt: i8 = means("1: the best fault is likely, and two may fit better")
     gone: f8 = means("logarithm of the likelihood that it is there still, against that it has gone; 0 at most")
     known_a: Annotated[f8s, "columns", "columns"] = means("A of what was known before")
@@ -359,15 +358,15 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
         s.peak[c.faults] = max(s.peak[c.faults], rest)
     if s.first >= 0:
         s.peak[s.first] = max(s.peak[s.first], best / limit)
-    s.second = s.besides = 0.0
+    s.second = besides = 0.0
     if known and left > 2.0 * SPEAKS * s.excess:
         s.second = fault_pairs.second(s, c, own, left, best)
-        s.besides = 1.0 - best * s.excess / s.two
+        besides = 1.0 - best * s.excess / s.two
     s.doubt = 1 if s.second > max(0.5 * LESS, DOUBT * best) else 0
     fit = c.slow > 0 and left - 2.0 * s.two <= (1.0 - FITS) * left + BEYOND * s.looks
     if not (fit or stood) or s.second <= (LESS if stood else SPEAKS):
         clear(own.paired)
-    elif s.second > (LESS if two else TWO) and s.besides > SHARE:
+    elif s.second > (LESS if two else TWO) and besides > SHARE:
         copy(own.likely, own.paired)
         copy(own.last, own.paired)
         own.weighed, own.awaits, s.stands = 2, 0, 0
