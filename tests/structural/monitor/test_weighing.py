@@ -216,7 +216,7 @@ def test_of_faults_that_sizes_leave_no_test_proves_one():
     both, one = pack([[0, 1], [0]], 2)
     neither = np.zeros_like(both)
     own = {"weighed": 1, "likely": both, "fired": both, "norm": [5.0, 5.0], "found": -1, "by_size": 1}
-    own |= {"paired": neither, "sure": neither}
+    own |= {"paired": neither, "sure": neither, "beyond": neither}
     sure = {"pair": np.array([1, 0]), "doubt": 0}
     nan, never = np.nan, -np.inf
 
@@ -237,3 +237,8 @@ def test_of_faults_that_sizes_leave_no_test_proves_one():
     for best, better in ((900.0, 2.0), (1100.0, never)):  # where nothing may be off: a tenth of what one explains
         two = sure | {"second": 50.0, "excess": 2.0, "alone": np.array([best, 10.0])}
         np.testing.assert_equal(said(two, weighed=-1, by_size=0), [*([never] * 5), better, better, 5.0, 5.0])
+    # A test that has passed since, having fired for sure, counts where nothing may be off.
+    two = sure | {"second": 0.0, "excess": 1.0, "alone": np.ones(2)}
+    past = {"norm": [5.0, 0.0], "fired": one, "weighed": -1, "beyond": both}
+    np.testing.assert_equal(said(two, **past, by_size=0), [*([never] * 7), 5.0, 3.0])
+    np.testing.assert_equal(said(two, **past, by_size=1), [never] * 9)

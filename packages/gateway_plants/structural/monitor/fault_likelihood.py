@@ -33,7 +33,8 @@ What was found may be no single fault of this model:
   more; a fault of all pairs that fit is sure. Where nothing may be off, the tests name pairs.
 - **No fault of the model.** Of what the residuals have beyond their noise the best one leaves more than a share, beside
   what a model leaves that is off; and enough to speak.
-- **A test** has fired for sure that none of those that fit best sees.
+- **A test** has fired for sure that none of those that fit best sees; where nothing may be off, at any time since
+  faults run beside the tests: what passes again may see only how a fault begins.
 
 Where nothing may be off, the tests decide alone then. Where something may, they name no fault that sizes do not: a
 fault that was there while it was learned is in what is known, and the tests see what that leaves. For the same reason
@@ -185,6 +186,7 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
     fault_pairs.begin(s)
     s.gone = s.second = 0.0
     s.first, s.stands = -1, 0
+    clear(own.beyond)
     return True
 
 
@@ -230,6 +232,8 @@ def take(s: Any, c: Any, own: Any, own_const: Any) -> None:
     """Take the residuals of a sample; where a block is whole, find the faults that are likely."""
     s.rests = 0
     for k in range(c.residuals):
+        if own.norm[k] > SURE:
+            include(own.beyond, k)
         settled = own.at_ns - max(own.since_ns, own.from_ns[k]) >= own_const.settle_ns
         if own.waits[k] == 1 or not settled or not c.share[k] > 0.0:
             s.r[k] = np.nan
@@ -384,7 +388,8 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
             continue
         best_too, missed = less <= LESS - NEARLY * best, False
         for k in range(own_const.tests):
-            missed = missed or (own.norm[k] > (SURE if best_too else 1.0) and not has(own_const.may[f], k))
+            fires = own.norm[k] > (SURE if best_too else 1.0) or (c.slow == 0 and has(own.beyond, k))
+            missed = missed or (fires and not has(own_const.may[f], k))
         seen = seen or (best_too and not missed)
         if best_too or not missed:
             include(own.likely, f)

@@ -163,6 +163,8 @@ def blames(model: Model, plan: Plan) -> dict[str, list[Blame]]:
 
 #: How likely a test fires if a fault is there that it sees: of a large one all do, of a small one few.
 _FIRES = 0.8
+#: Likewise of one that sees only how it begins: it fails at first, and passes then.
+_FLEETS = 0.5
 #: How likely one fault alone looks like two. By it one of them is not told as the cause, and two neither: what a model
 #: lacks may look so.
 _LOOKS_LIKE_TWO = 0.002
@@ -187,7 +189,7 @@ def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
     weighed |= {_better(f): others[f] for f in plan.faults}
     return (weighed if fault_likelihood.moved(plan) else {}) | {
         test.name: [
-            *(parts[f]._replace(share=VAGUE if f in test.fleeting else _FIRES) for f in test.faults if f in parts),
+            *(parts[f]._replace(share=_FLEETS if f in test.fleeting else _FIRES) for f in test.faults if f in parts),
             Blame("model", "model"),
         ]
         for test in plan.tests
@@ -206,6 +208,9 @@ def false_alarms(plan: Plan) -> dict[str, float]:
 
 def levels(plan: Plan, state: Any) -> list[float]:
     """Return the levels of the tests: T over J, 1 at least as long as a test counts as one that has fired.
+
+    Where nothing may be off, one that has fired for sure counts as long as any test is near: it may see only how a
+    fault begins, and its pass would clear nothing.
 
     Where something may be off, tests say nothing until sizes do. Where sizes say which faults are likely, a test that
     has not fired says nothing; nor does one that some of these do not see: its residual is in what they say. One that
@@ -239,9 +244,10 @@ def levels(plan: Plan, state: Any) -> list[float]:
                 weighed[-len(better) :] = [2.0] * len(better)
         if said == 2 or (said != 1 and own["by_size"] == 1):
             return weighed + [-inf] * len(plan.tests)
-    fired = unpack(np.asarray(own["fired"])[None, :], len(plan.tests))[0]
+    fired, sure = (unpack(np.asarray(one)[None, :], len(plan.tests))[0] for one in (own["fired"], own["beyond"]))
     levels = [
-        max(float(norm), 1.0) if up else min(float(norm), 0.0) for norm, up in zip(own["norm"], fired, strict=False)
+        max(float(norm), fault_likelihood.SURE if was else 1.0) if up or was else min(float(norm), 0.0)
+        for norm, up, was in zip(own["norm"], fired, sure & (own["by_size"] == 0), strict=False)
     ]
     if said != 0:
         names = doubted.union(f for f, one in zip(plan.faults, likely, strict=True) if one and said == 1)

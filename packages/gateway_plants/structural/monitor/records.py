@@ -89,6 +89,7 @@ class State(machine.State, lengths=MOST):
     sure: Annotated[i8s, "words"] = means("of two faults those that are there in any case, a mask")
     last: Annotated[i8s, "words"] = means("those that were sure last, since faults began beside the tests, a mask")
     before: Annotated[i8s, "words"] = means("those before that, of which something may have been learned, a mask")
+    beyond: Annotated[i8s, "words"] = means("tests that have fired for sure since faults run beside them, a mask")
     awaits: i8 = means("1: sign and size will soon say more")
     by_size: i8 = means("1: something may be off, so that tests name no fault against sign and size")
     norm: Annotated[f8s, "tests"] = means("T over J: above 1 a test has fired")
