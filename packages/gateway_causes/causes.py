@@ -391,7 +391,8 @@ def _delays(engine: Engine, checks: Sequence[CheckInstance]) -> dict[str, float]
 
 
 def _links(depends: Sequence[Seen]) -> tuple[Link, ...]:
-    return tuple(Link(one.component.name, one.power) for one in depends)
+    seen = {one.component.name for one in depends}
+    return tuple(Link(one.component.name, one.power, via=one.via if one.via in seen else "") for one in depends)
 
 
 def _test(slot: FaultSlot, depends: Sequence[Seen], delay_s: float | None, exact: Collection[str]) -> Test:

@@ -23,6 +23,8 @@ def a_system(rng, most=16):
             for c in components
             if rng.random() < density
         )
+        if rng.random() < 0.5:  # some are seen by way of the first one
+            links = tuple(one._replace(via=links[0].component if rng.random() < 0.5 else "") for one in links)
         tests.append(
             Test(
                 f"t{k}",

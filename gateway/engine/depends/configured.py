@@ -40,7 +40,11 @@ def _fed(found: Depends, supply: SupplyParams, name: str, network: Network, key:
         fault: strongest(
             [
                 *seen,
-                *(Seen(own, supply.share * one.power, f"feeds {name}") for one in seen if one.component.name in fed),
+                *(
+                    Seen(own, supply.share * one.power, f"feeds {name}", one.component.name)
+                    for one in seen
+                    if one.component.name in fed
+                ),
             ]
         )
         for fault, seen in found.items()

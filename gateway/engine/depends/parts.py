@@ -32,11 +32,13 @@ class Seen(NamedTuple):
         component: with its kind.
         power: probability that the test fails if it alone is faulty.
         why: how that is known, for people.
+        via: name of the one component whose error it sees then, as of a message the signal; "": several, or itself.
     """
 
     component: Component
     power: float
     why: str
+    via: str = ""
 
 
 def component(kind: str, *path: str) -> Component:
@@ -108,19 +110,21 @@ class Network:
 
     def behind(self, ref: SignalRef, power: float) -> Iterator[Seen]:
         """Yield a signal that a test sees with some power, with what is on the way from it to the test."""
-        yield Seen(self.signal(ref), power, "what it measures")
-        yield Seen(self.message(ref.bus, ref.message), OF_MESSAGE * power, f"carries {ref.signal}")
+        own = self.signal(ref)
+        yield Seen(own, power, "what it measures")
+        yield Seen(self.message(ref.bus, ref.message), OF_MESSAGE * power, f"carries {ref.signal}", own.name)
         for sender in self.senders(ref.bus, ref.message):
-            yield Seen(sender, OF_SENDER * power, f"sends {ref.message}")
+            yield Seen(sender, OF_SENDER * power, f"sends {ref.message}", own.name)
         if (ref.bus, ref.message) in self._limited:
-            yield Seen(self.second_sender(ref.bus, ref.message), OF_SECOND * power, "another one sends it, too")
+            second = self.second_sender(ref.bus, ref.message)
+            yield Seen(second, OF_SECOND * power, "another one sends it, too", own.name)
 
 
 def strongest(seen: Iterable[Seen]) -> tuple[Seen, ...]:
     """Return each component once, as it is seen best, the best first."""
     best: dict[str, Seen] = {}
     for one in seen:
-        known = best.get(one.component.name)
-        if known is None or one.power > known.power:
-            best[one.component.name] = one
+        known = best.get(one.component.name, one)
+        stronger = one if one.power > known.power else known
+        best[one.component.name] = stronger._replace(via=one.via if one.via == known.via else "")
     return tuple(sorted(best.values(), key=lambda one: -one.power))

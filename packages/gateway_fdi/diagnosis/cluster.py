@@ -10,6 +10,9 @@ A passed test counts for a component if it passed still when it would have seen 
 that blames the component as the test takes. A test that failed counts as *late* for a component if it had passed all
 the time that it takes, behind the first failure that this component alone explains: it did not see the fault when it
 should have, so that its failure is the less probable (w (1 - w)).
+
+A component may be seen by way of another one: a message by its signals. If it alone explains a test that failed, that
+signal is wrong; so what passed counts for it as for this signal, wherever it is seen by way of it.
 """
 
 from __future__ import annotations
@@ -66,6 +69,7 @@ class Cluster:
         self._sized = np.bincount(column, weights=sized, minlength=len(self.suspects)) > 0
         self._sized |= np.isin(self.suspects, more)
         self._known: dict[int, dict[int, float]] = {}
+        self._by: dict[int, tuple[Ints, dict[int, float]]] = {}
         self._count_passes()
 
     def told(self, components: tuple[int, ...]) -> tuple[str, ...]:
@@ -127,7 +131,41 @@ class Cluster:
         fails = 1.0 - (1.0 - self._alarm) * escape
         fitted = self.fit(suspects)
         chance = 1.0 if fitted is None else fitted.chance
-        return total + float(np.log(fails).sum()) + math.log(chance) if fails.all() else NEVER
+        if not fails.all():
+            return NEVER
+        return total + float(np.log(fails).sum()) + math.log(chance) + self._by_way(chosen)
+
+    def _by_way(self, chosen: list[int]) -> float:
+        """Return what passes weigh more, as those suspects see them by way of others that are wrong for sure."""
+        sees = self.power[:, chosen] > 0.0
+        alone = sees & (sees.sum(axis=1) == 1)[:, None]
+        total = 0.0
+        for at, k in enumerate(chosen):
+            ways, more = self._ways(k)
+            if more:
+                total += math.fsum(more.get(way, 0.0) for way in {ways[row] for row in np.flatnonzero(alone[:, at])})
+        return total
+
+    def _ways(self, k: int) -> tuple[Ints, dict[int, float]]:
+        """Return what each failed test sees a suspect by way of, and by each of these, what passes weigh more."""
+        if k not in self._by:
+            system, own = self._system, self.suspects[k]
+            links = system.of_component[own]
+            tests, via = system.link_test[links], system.via[links]
+            ways = system.link_component[via]
+            of_row, more = np.full(len(self.failed), own), dict[int, float]()
+            if (ways != own).any():
+                column, passed, clear, *_ = self._passes
+                mine = slice(*np.searchsorted(column, (k, k + 1)))
+                heavier = np.minimum(system.log_escape[via] - system.log_escape[links], 0.0)
+                heavier[~np.isin(tests, passed[mine][clear[mine] < 0.0])] = 0.0
+                for test, way, value in zip(tests.tolist(), ways.tolist(), heavier.tolist(), strict=True):
+                    if test in self._row:
+                        of_row[self._row[test]] = way
+                    if way != own:
+                        more[way] = more.get(way, 0.0) + value
+            self._by[k] = (of_row, more)
+        return self._by[k]
 
     def _powers(self, chosen: list[int]) -> Floats:
         """Return the powers of the failed tests for some suspects, less where a test is late, shape (tests, chosen)."""

@@ -65,11 +65,13 @@ class Link(NamedTuple):
         component: its name.
         power: probability that the test fails within its delay if this component alone is faulty, above 0, below 1.
         gain: residual of the test for an error of the component of size 1; NaN: not known.
+        via: name of another component of this test whose error it sees then, as of a message the signal; "": none.
     """
 
     component: str
     power: float
     gain: float = math.nan
+    via: str = ""
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,7 @@ class System:
         delay_ns: shape (tests,) [ns].
         noise, gain_error: shape (tests,).
         link_test, link_component, power, gain: of each link, tests one after the other, shape (links,).
+        via: place of the link of the same test that a link goes by, or its own, shape (links,).
 
     Raises:
         InputError: a name that is there twice or not at all, a probability that is none.
@@ -126,8 +129,11 @@ class System:
         places: list[int] = []
         power: list[float] = []
         gain: list[float] = []
+        via: list[int] = []
         for test in tests:
             _refuse_twice(test)
+            own = {link.component: len(via) + k for k, link in enumerate(test.links)}
+            via += [own.get(link.via, own[link.component]) for link in test.links]
             for link in test.links:
                 if link.component not in self.place:
                     raise InputError(f"test {test.name}: there is no component {link.component!r}")
@@ -137,6 +143,7 @@ class System:
         self.link_component: Ints = np.array(places, np.int64)
         self.power: Floats = np.array(power, float)
         self.gain: Floats = np.array(gain, float)
+        self.via: Ints = np.array(via, np.int64)
         self._counts: Ints = np.array([len(t.links) for t in tests], np.int64)
         self.link_test: Ints = np.repeat(np.arange(len(tests)), self._counts)
 

@@ -40,6 +40,7 @@ class Oracle:
         self.failed = [t for t in tests if self.now[t.name][0] == FAILED]
         self.power = {(t.name, link.component): link.power for t in tests for link in t.links}
         self.gain = {(t.name, link.component): link.gain for t in tests for link in t.links}
+        self.via = {(t.name, link.component): link.via or link.component for t in tests for link in t.links}
         self.sees = {t.name: {link.component for link in t.links} for t in tests}
         self.delay = {t.name: round(t.delay_s * 1e9) for t in tests}
         self.apart = []  # components that failed tests connect
@@ -91,9 +92,22 @@ class Apart:
                 weight += math.log(1 - self.o.power[t.name, name])
         return weight
 
+    def by_way(self, name, chosen):
+        """What passes weigh more, where only this one of the set explains a failure, by way of another one."""
+        o = self.o
+        wrong = {o.via[t.name, name] for t in self.failed if o.sees[t.name] & chosen == {name}} - {name}
+        weight = 0.0
+        for t in o.tests:
+            if name not in o.sees[t.name] or o.via[t.name, name] not in wrong:
+                continue
+            if self.counts(t, name) and not (self.is_sized(name) and o.signed(t, name)):
+                own, other = o.power[t.name, name], o.power[t.name, o.via[t.name, name]]
+                weight += min(math.log(1 - other) - math.log(1 - own), 0.0)
+        return weight
+
     def weight(self, chosen):
         o = self.o
-        total = sum(self.of_component(name) for name in chosen)
+        total = sum(self.of_component(name) + self.by_way(name, chosen) for name in chosen)
         alone = {}
         for t in self.failed:
             mine = o.sees[t.name] & chosen

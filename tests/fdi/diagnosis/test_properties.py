@@ -99,6 +99,24 @@ def test_a_pass_clears_as_much_as_it_would_have_seen():
         assert told["b"] / told["a"] == pytest.approx(1.0 - power)
 
 
+def test_what_a_message_alone_explains_is_wrong_with_its_signal_wherever_that_is_seen():
+    """Of four wheels one does not fit the speed: the message with the speed would be wrong for all four."""
+    wheels = [
+        Test(f"wheel{k}", (Link(f"wheel {k}", 0.9), Link("speed", 0.9), Link("second", 0.3, via="speed")))
+        for k in range(4)
+    ]
+    diagnoser = a_diagnoser(*wheels, Test("range", (Link("coolant", 0.9), Link("second", 0.3, via="coolant"))))
+    for k in range(4):
+        diagnoser.update(f"wheel{k}", PASSED, 0)
+    diagnoser.update("wheel2", FAILED, seconds(1))
+    diagnoser.update("range", FAILED, seconds(1))
+    for k in (0, 1, 3):
+        diagnoser.update(f"wheel{k}", PASSED, seconds(3))
+    found = probabilities(diagnoser)
+    assert max(found, key=found.get) == "coolant wheel 2"
+    assert found["second"] < 0.1, "0.97 by its own powers"
+
+
 def test_a_pass_before_the_fault_could_show_clears_nothing_and_is_waited_for():
     diagnoser = a_diagnoser(
         Test("fails", (Link("a", 0.99), Link("b", 0.99))), Test("slow", (Link("b", 0.99),), delay_s=10.0)

@@ -15,6 +15,8 @@ from gateway_fleet.study.cause.drive import Told
 _EACH = 4
 #: Nothing else may have so much of the first one's probability.
 _TENTH = 0.1
+#: So much less is as likely: probabilities are told with four digits.
+_EQUAL = 0.995
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class Verdict:
         alone: it is the first, and nothing else has a tenth of its probability.
         cause: it is told as the cause, and nothing else.
         chance: probability of the likeliest of what was told last, with all that is the truth if it is; 0: nothing.
-        right: it is the truth.
+        right: 1: it is the truth; 0: it is not; of several that are told as equally likely, the share that is.
         healthy: healthy components that were told as a cause at some time.
         last: what was told last, for people.
     """
@@ -41,7 +43,7 @@ class Verdict:
     alone: bool
     cause: bool
     chance: float
-    right: bool
+    right: float
     healthy: tuple[str, ...]
     last: str
 
@@ -68,10 +70,12 @@ def judge(
     causes = {name for one in during for group in one.groups for name in group["cause"] or ()}
     healthy = tuple(sorted(causes - right))
     if not during:
-        return Verdict(before, False, 0, not alike, False, False, 0.0, False, healthy, "")
+        return Verdict(before, False, 0, not alike, False, False, 0.0, 0.0, healthy, "")
     groups = during[-1].groups
-    (first, chance), *_ = every = _together(groups)
-    if _is(first, truths):
+    (_, chance), *_ = every = _together(groups)
+    equal = [_is(chosen, truths) for chosen, p in every if p >= _EQUAL * chance]
+    hit = sum(equal) / len(equal)
+    if hit == 1.0:
         chance = min(sum(p for chosen, p in every if _is(chosen, truths)), 1.0)
     weighed = [one for one in every if _is(one[0], truths) or not any(less <= one[0] for less in alike)]
     places = [k for k, chosen in enumerate((chosen for chosen, _ in weighed), 1) if _is(chosen, truths)]
@@ -79,7 +83,7 @@ def judge(
     near = [chosen for chosen, p in weighed if p >= _TENTH * weighed[0][1]]
     alone = bool(near) and all(_is(chosen, truths) for chosen in near)
     cause = None not in whole and _is(frozenset(itertools.chain.from_iterable(whole)), truths)
-    place, hit = places[0] if places else 0, _is(first, truths)
+    place = places[0] if places else 0
     return Verdict(before, True, place, not alike, alone, cause, chance, hit, healthy, _text(groups))
 
 
