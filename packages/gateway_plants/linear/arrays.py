@@ -22,7 +22,7 @@ from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.mathematics.gains import from_noise
 from gateway_plants.linear.mathematics.plant import LinearPlant, discretised
 from gateway_plants.linear.mathematics.uncertainty import entries
-from gateway_plants.linear.model_set import decision
+from gateway_plants.linear.model_set import decision, isolation, records
 from gateway_plants.linear.model_set.design import EXACT_OFFSET, Told, isolable
 from gateway_plants.linear.pi_bank.design import Noise, check
 
@@ -59,7 +59,7 @@ def _walk(s: Any, c: Any, y: Any, u: Any, unsure: Any, flags: Any, sizes: Any) -
     for t in range(y.shape[0]):
         decision.step(s, c, y[t], u[t], unsure)
         for part in range(parts):
-            flags[t, part] = 1 if decision.at_fault(s, part) else 0
+            flags[t, part] = 1 if isolation.at_fault(s, part) else 0
             sizes[t, part] = s.magnitude[part] if flags[t, part] == 1 else 0.0
         flags[t, parts] = s.unexplained
         flags[t, parts + 1] = s.tested
@@ -145,7 +145,7 @@ class PiBank:
             limits = _per(actuator, plant.inputs, "actuator")
             drifts = 0.1 * limits if drift is None else _per(drift, plant.inputs, "drift")
             noises = Noise(_per(noise, plant.outputs, "noise"), _per(disturbance, plant.states, "disturbance"), drifts)
-            self._s, self._c = zeros(1, decision.State)[0], zeros(1, decision.Const)[0]
+            self._s, self._c = zeros(1, records.State)[0], zeros(1, records.Const)[0]
             told = exact(a, b, plant, noises, limits, _per(sensor, plant.outputs, "sensor"), discrete=discrete)
             decision.prepare(self._s, self._c, told, mtfa_s=mtfa_s, start_s=start_s, hold_s=hold_s)
 

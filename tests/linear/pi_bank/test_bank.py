@@ -10,7 +10,7 @@ from gateway_plants.linear.mathematics.plant import discretised
 from gateway_plants.linear.pi_bank.design import check
 from gateway_plants.linear.pi_bank.masking import masked, stationary
 from gateway_plants.linear.study import example
-from gateway_plants.linear.study.bank import records, walk
+from gateway_plants.linear.study.bank import bank_of, walk
 
 PLANT = example.plant()
 compiled = pytest.mark.skipif(not COMPILED, reason="thousands of steps of a whole bank")
@@ -62,7 +62,7 @@ def flown(faults, seconds=40.0, seed=3, start_s=5.0):
     from gateway_plants.linear.study.bank import drive
 
     y, u = simulate(drive(0.01, stable=True), faults, seconds, np.random.default_rng(seed))
-    return walk(*records(start_s), y, u), y
+    return walk(*bank_of(start_s), y, u), y
 
 
 @compiled
@@ -138,7 +138,7 @@ def test_two_sensors_at_once_are_not_isolated_and_said_to_be_so():
 def test_a_sample_that_is_missing_is_predicted():
     y, u = healthy(0.01, 60.0, 1)
     y[105::7] = np.nan
-    found = walk(*records(5.0), y, u)
+    found = walk(*bank_of(5.0), y, u)
     assert not found.actuators.any()
     assert not found.sensors.any()
     assert not found.unexplained.any()
@@ -147,7 +147,7 @@ def test_a_sample_that_is_missing_is_predicted():
 @compiled
 def test_the_start_finds_a_state_that_nobody_knows():
     y, u = healthy(0.01, 60.0, 4)
-    found = walk(*records(5.0), y[200:], u[200:])
+    found = walk(*bank_of(5.0), y[200:], u[200:])
     assert not found.actuators.any()
     assert not found.sensors.any()
     assert not found.unexplained.any()

@@ -37,7 +37,7 @@ from gateway_fdi import run_length, stopping
 from gateway_fdi.jit import Record, f8, kernel, labels, means
 from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.mathematics.plant import MOST_OUTPUTS
-from gateway_plants.linear.model_set import decision
+from gateway_plants.linear.model_set import decision, isolation, records
 from gateway_plants.linear.monitor import plant as linear_plant
 from gateway_plants.linear.monitor.plant import FINDING, Inputs
 from gateway_plants.linear.monitor.refine import found, wanted
@@ -48,7 +48,7 @@ class Const(Record):
     """Constants."""
 
     sampling: linear_plant.Const = means("samples off the bus")
-    models: decision.Const = means("the healthy hypothesis")
+    models: records.Const = means("the healthy hypothesis")
     rule: stopping.Const = means("stopping rule of each innovation")
     total: f8 = means("threshold of e^T V^-1 e")
 
@@ -56,7 +56,7 @@ class Const(Record):
 class State(linear_plant.Watched):
     """State."""
 
-    models: decision.State = means("the healthy hypothesis")
+    models: records.State = means("the healthy hypothesis")
     rules: Annotated[list[stopping.State], MOST_OUTPUTS] = means("stopping rule of each innovation")
     nis: f8 = means("normalised innovation squared")
 
@@ -144,7 +144,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     level = p.threshold
     stopping.prepare(c.rule, p.rule, level, drift=0.5 * SHIFT, most=4.0 * level)
     c.total = chi2_above(min(p.sample_ms * 1e-3 / p.mtfa_s, 0.4), p.plant.outputs)
-    task = decision.LEARNING if p.learning else decision.WATCHING
+    task = records.LEARNING if p.learning else records.WATCHING
     decision.prepare(s.models, c.models, p.told, mtfa_s=p.mtfa_s, start_s=p.start_s, hold_s=p.start_s, task=task)
 
 
@@ -193,7 +193,7 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
         return
     if linear_plant.begin_anew(s, steps):
         s.models.filters.aligned.begun = 0
-        decision.restart(s.models, c.models)
+        isolation.restart(s.models, c.models)
     else:
         for k in range(steps - 1):  # each with the command that held then
             _one(s, c, u, k + 1, False, out)

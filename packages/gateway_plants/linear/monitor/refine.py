@@ -36,7 +36,7 @@ def found(p: UncertainPlantParams, s: Any) -> Refined:
 
     Args:
         p: parameters with which it was replayed.
-        s: state at its end; its ``models`` is a record of :class:`gateway_plants.linear.model_set.decision.State`.
+        s: state at its end; its ``models`` is a record of :class:`gateway_plants.linear.model_set.records.State`.
     """
     entries, n, m = p.entries, p.plant.states, p.plant.inputs
     x = s.models.filters

@@ -12,7 +12,7 @@ from gateway_fdi.jit import zeros
 from gateway_plants.linear.arrays import Found, exact, walk
 from gateway_plants.linear.ecu.params import LinearFault, LinearParams, Swing
 from gateway_plants.linear.ecu.plant import simulate
-from gateway_plants.linear.model_set import decision
+from gateway_plants.linear.model_set import decision, records
 from gateway_plants.linear.pi_bank.design import Noise
 from gateway_plants.linear.study import example
 
@@ -30,9 +30,9 @@ def noise() -> Noise:
     return Noise(np.full(3, example.NOISE), np.full(4, 1e-4), np.full(2, drift))
 
 
-def records(start_s: float) -> tuple[Any, Any]:
+def bank_of(start_s: float) -> tuple[Any, Any]:
     """Return state and constants of a bank before its first sample."""
-    s, c = zeros(1, decision.State)[0], zeros(1, decision.Const)[0]
+    s, c = zeros(1, records.State)[0], zeros(1, records.Const)[0]
     limits = np.full(2, example.ACTUATOR_LIMIT), np.full(3, example.SENSOR_LIMIT)
     told = exact(example.A, example.B, example.plant(), noise(), *limits, discrete=False)
     decision.prepare(s, c, told, mtfa_s=MTFA, start_s=start_s, hold_s=2.0)
@@ -67,7 +67,7 @@ def drive(noise_std: float, *, stable: bool) -> LinearParams:
 def run(faults: tuple[LinearFault, ...], noise_std: float, rng: np.random.Generator) -> Found:
     """Return what the bank finds in the paper's 12 s."""
     y, u = simulate(drive(noise_std, stable=False), faults, example.DURATION, rng)
-    return walk(*records(1.0), y, u)
+    return walk(*bank_of(1.0), y, u)
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def quiet(sigma: float, hours: float, seed: int) -> Quiet:
     """Fly healthy with moving commands, and count the alarms: flags that go up."""
     plant, feedback, rng = example.plant(), np.array(FEEDBACK), np.random.default_rng(seed)
     count, judged, alarms = round(hours * 3600 / example.PERIOD), 0, 0
-    bank, x = records(5.0), np.zeros(plant.states)
+    bank, x = bank_of(5.0), np.zeros(plant.states)
     before: Any = np.zeros((1, 4), np.int64)
     closed = plant.phi - plant.gamma @ feedback
     for first in range(0, count, PORTION):

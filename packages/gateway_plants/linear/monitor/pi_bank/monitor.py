@@ -29,8 +29,8 @@ from gateway.monitors.evidence import words_of
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel, labels, means
 from gateway_fdi.linear_algebra import copy
 from gateway_plants.linear.mathematics.plant import MOST_OUTPUTS
-from gateway_plants.linear.model_set import decision
-from gateway_plants.linear.model_set.decision import NONE
+from gateway_plants.linear.model_set import decision, isolation, records
+from gateway_plants.linear.model_set.records import NONE
 from gateway_plants.linear.monitor import plant as linear_plant
 from gateway_plants.linear.monitor.pi_bank import window
 from gateway_plants.linear.monitor.pi_bank.params import Params
@@ -43,14 +43,14 @@ class Const(Record):
     """Constants."""
 
     sampling: linear_plant.Const = means("samples off the bus")
-    models: decision.Const = means("the model set")
+    models: records.Const = means("the model set")
     windows: i8 = means("1: windows are kept")
 
 
 class State(linear_plant.Watched):
     """State."""
 
-    models: decision.State = means("the model set")
+    models: records.State = means("the model set")
     window: window.State = means("parity window of the last samples")
     sensor: i8 = means("sensor at fault; NONE: none")
     nonlinear: i8 = means("1: with model_error: the plant's entries vary, it is not linear")
@@ -131,7 +131,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     c.windows = p.windows is not None
     s.sensor = NONE
     times = {"mtfa_s": p.mtfa_s, "start_s": p.start_s, "hold_s": p.hold_s}
-    task = decision.LEARNING if p.learning else decision.ISOLATING
+    task = records.LEARNING if p.learning else records.ISOLATING
     decision.prepare(s.models, c.models, p.told, patience_s=p.patience_s, task=task, **times)
 
 
@@ -150,7 +150,7 @@ def _conclude(s: State, c: Const, out: Out[Evidence, Record]) -> None:
     """Report what a sample says of each part."""
     x, f = s.models, c.models.filters
     s.sensor, s.nonlinear = NONE, x.filters.varies
-    if c.models.task == decision.LEARNING:
+    if c.models.task == records.LEARNING:
         s.reason = FINDING
         return
     if x.unexplained == 1:
@@ -163,7 +163,7 @@ def _conclude(s: State, c: Const, out: Out[Evidence, Record]) -> None:
     _report(s, UNEXPLAINED, False, 0.0, 0.0, out)
     for part in range(f.m + f.p):
         limit = c.models.actuator[part] if part < f.m else c.models.sensor[part - f.m]
-        at_fault = decision.at_fault(x, part)
+        at_fault = isolation.at_fault(x, part)
         _report(s, 1 + part, at_fault, x.magnitude[part] if at_fault else 0.0, limit, out)
         if at_fault and part >= f.m:
             s.sensor = part - f.m
@@ -199,7 +199,7 @@ def step(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record])
         return
     if linear_plant.begin_anew(s, steps):
         s.models.filters.aligned.begun = s.window.held = 0
-        decision.restart(s.models, c.models)
+        isolation.restart(s.models, c.models)
     else:
         for k in range(steps - 1):  # each with the command that held then
             _one(s, c, u, k + 1, False, out)
