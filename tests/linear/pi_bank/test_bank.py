@@ -10,7 +10,7 @@ from gateway_plants.linear.mathematics.plant import discretised
 from gateway_plants.linear.pi_bank.design import check
 from gateway_plants.linear.pi_bank.masking import masked, stationary
 from gateway_plants.linear.study import example
-from gateway_plants.linear.study.bank import bank_of, walk
+from gateway_plants.linear.study.bank import bank_of, run, walk
 
 PLANT = example.plant()
 compiled = pytest.mark.skipif(not COMPILED, reason="thousands of steps of a whole bank")
@@ -131,6 +131,18 @@ def test_two_sensors_at_once_are_not_isolated_and_said_to_be_so():
     found, _ = flown(faults, 60.0)
     assert found.unexplained[130:200].any()
     assert not found.unexplained[-50:].any()
+
+
+@compiled
+def test_beside_a_second_sensor_no_actuator_is_named():
+    """Beside a sensor that is named an actuator takes up at first what a second sensor does."""
+    faults = (
+        LinearFault(kind="output_offset", place=1, from_s=2.08, size=-0.545),
+        LinearFault(kind="output_offset", place=2, from_s=2.1, size=-0.307),
+    )
+    for sigma in (0.0, example.NOISE):
+        found = run(faults, sigma, np.random.default_rng([7016, 1]))
+        assert not found.actuators[found.unexplained == 0].any(), sigma
 
 
 @pytest.mark.long

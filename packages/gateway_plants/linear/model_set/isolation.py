@@ -39,7 +39,7 @@ SINGLY = 10
 BESIDE = 5.0
 #: Standard deviations of another one's beyond which it is not.
 AGAINST = 3.0
-#: Samples until what no hypothesis explains is called so.
+#: Samples until what no hypothesis explains is called so; and until an actuator is named beside a sensor.
 PATIENCE = 25
 #: Jumps of an actuator's fault since the alarm with which it may be named.
 MOST_JUMPS = 1
@@ -322,7 +322,7 @@ def _beside(s: State, c: Const) -> int:
                 found = i
             elif sizes > AGAINST:
                 return NONE
-    return found if s.waited[0] > SINGLY else NONE
+    return found if s.waited[0] > PATIENCE else NONE
 
 
 @kernel
