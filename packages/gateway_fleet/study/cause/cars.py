@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from cantools.database.can.signal import Signal
 
@@ -35,16 +36,25 @@ class Car:
 
 @dataclass(frozen=True)
 class Injected:
-    """A fault of a car, as --inject has it, without its times."""
+    """A fault of a car, as --inject has it, without its times.
+
+    Attributes:
+        needs: other signals that are in their ranges wherever it shows.
+    """
 
     car: Car
     text: str
     truth: Truth
+    needs: frozenset[str] = frozenset()
 
     @property
     def of_frames(self) -> bool:
         """Whether it is one of a message's frames, not of a value."""
         return "=" not in self.text
+
+    def hides(self, other: Injected) -> bool:
+        """Return whether it puts a signal out of its range without which another fault does not show."""
+        return self.text.startswith("value ") and self.text.split()[1].partition("=")[0] in other.needs
 
 
 def learned(folder: Path) -> list[Car]:
@@ -87,8 +97,16 @@ def injected(car: Car) -> Iterator[Injected]:
                     continue
                 yield Injected(car, f"value {one['signal']}={value:g}", _signal(name, one["signal"]))
         for rule in monitor.get("rule", ()):
-            for signal in compile_text(rule["holds"], lambda _: None).signals if "tolerance" in rule else ():
-                yield Injected(car, f"offset {signal}={2.5 * rule['tolerance']:g}", _signal(name, signal))
+            if "tolerance" not in rule:
+                continue
+            for signal in _related(rule):
+                text = f"offset {signal}={2.5 * rule['tolerance']:g}"
+                rules = [frozenset(_related(one)) for one in monitor["rule"] if signal in _related(one)]
+                yield Injected(car, text, _signal(name, signal), frozenset.intersection(*rules) - {signal})
+
+
+def _related(rule: Mapping[str, Any]) -> list[str]:
+    return compile_text(rule["holds"], lambda _: None).signals
 
 
 def _says(signal: Signal, value: float, limit: float) -> bool:

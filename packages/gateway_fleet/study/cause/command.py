@@ -48,14 +48,16 @@ def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Pat
         if len(apart) < len(some):
             console.print(_table(f"{kind} that the models' structure tells apart", apart))
     for kind, some in rows.items():
+        told = [row for row in some if row.verdict.chance > 0.0]
+        apart = [row for row in told if row.verdict.told_apart]
         families: dict[str, list[Verdict]] = defaultdict(list)
-        for row in some:
-            if row.verdict.chance > 0.0:
-                families[f"{kind}, {FAMILIES.get(row.plant, row.plant)}"].append(row.verdict)
-        for family, told in families.items():
-            console.print(_reliability(family, told))
-        if families:
-            console.print(_reliability(kind, list(itertools.chain.from_iterable(families.values()))))
+        for row in apart:
+            families[f"{kind}, {FAMILIES.get(row.plant, row.plant)}"].append(row.verdict)
+        families[f"{kind} that can be told apart"] = [row.verdict for row in apart]
+        families[kind] = [row.verdict for row in told]
+        for family, verdicts in families.items():
+            if verdicts and (family != kind or len(apart) < len(told)):
+                console.print(_reliability(family, verdicts))
     return 0
 
 

@@ -113,8 +113,11 @@ def pairs(count: int, seed: int, cars: Sequence[Car], plants: Sequence[str] = ()
 def _apart(one: Fault | Injected, other: Fault | Injected) -> bool:
     """Return whether two faults are of different parts, and neither hides the other.
 
-    A relation is not tested while a message of it is missing or wrong, so that an offset does not show.
+    A relation is not tested while a message of it is missing or wrong, or a signal of it is out of its range, so that
+    an offset does not show.
     """
+    if isinstance(one, Injected) and isinstance(other, Injected) and (one.hides(other) or other.hides(one)):
+        return False
     frames = [each.of_frames for each in (one, other)]
     return not one.truth & other.truth and frames[0] == frames[1]
 
