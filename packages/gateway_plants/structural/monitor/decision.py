@@ -4,7 +4,8 @@ Two ways to judge a residual: the CUSUM of what is beyond nu; or, for faults tha
 that its mean has jumped at one of the last samples, against noise of a standard deviation that nu says.
 
 That nothing explains what has fired is told only after :data:`PENDING` times as long as a name: tests of one fault
-fire one after the other, and one that is yet to come may tell it. So one fault has one DTC.
+fire one after the other, and one that is yet to come may tell it. So one fault has one DTC. Sizes that may say more are
+awaited for as long; where something may be off, until they do.
 
 A generator that gives no number (a root of what is negative, a division by zero) begins anew, and its test settles
 again, alone.
@@ -235,7 +236,7 @@ def decide(s: State, c: Const, out: Any) -> None:
         s.found = NOTHING
     else:
         said = _answer(s, c)
-        if said == OPEN and s.found == NOTHING and s.awaits == 1:
+        if said == OPEN and s.found == NOTHING and s.awaits == 1 and (s.by_size == 1 or s.joined_ns < c.pending_ns):
             return
         if said == OPEN and s.found == NOTHING and s.weighed == 1 and _count(s.likely, c.faults) <= MOST_TOGETHER:
             s.found = c.groups
