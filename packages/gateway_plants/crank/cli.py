@@ -41,5 +41,5 @@ def evaluate_crank(
 ) -> None:
     """Evaluate crankshaft methods: missed and added pulses.
 
-    It compares our two methods with those of open engine controllers.
+    It compares our method with those of open engine controllers.
     """

@@ -255,9 +255,9 @@ def test_check_says_what_such_a_wheel_can_tell(wheel, options, words):
     assert "not tested" not in "\n".join(_facts(Params(wheel="60-2")))
 
 
-def test_keys_of_the_papers_method_say_where_it_is():
+def test_keys_of_the_papers_method_say_what_they_were():
     for key, value in (("method", "paper"), ("gain", 0.6), ("threshold", 1.0), ("follow_speed", False)):
-        with pytest.raises(ValidationError, match=f"{key} = {value!r}: of the paper's method, which is in the study"):
+        with pytest.raises(ValidationError, match=f"{key} = {value!r}: of the paper's method, which holds at constant"):
             Params(wheel="60-2", **{key: value})
 
 

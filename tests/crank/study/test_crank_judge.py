@@ -111,6 +111,23 @@ def test_an_index_that_the_gap_puts_right_accuses_no_sensor(judge, number):
     assert judge.one_run((141421, number))[6] == []
 
 
+@compiled
+@pytest.mark.parametrize(
+    "number",
+    [
+        *(465, 921, 3273, 3729, 6429, 7005),  # a tooth of 12+1 that is far off: a pulse missed and one added, each turn
+        *(119, 8965),  # a tooth that is far off, at the starter's speed
+        *(3352, 3597, 4533, 4993, 7082, 8081),  # an engine that turned back, decided long after its slowest interval
+        *(6233,),  # an index that was wrong since the engine turned back
+        *(6237, 9497),  # a tooth that was told as damaged once
+        *(5449,),  # edges too noisy to count by
+    ],
+)
+def test_no_healthy_part_is_proven_as_the_cause(judge, number):
+    """Each had the crankshaft sensor for certain."""
+    assert judge.one_run((818283, number))[9] == []
+
+
 @pytest.mark.parametrize(
     ("failed", "proven"),
     [

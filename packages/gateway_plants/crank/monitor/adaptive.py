@@ -161,7 +161,7 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         noise.note(s.burst, s.teeth, y, period)
         crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST  # the time of a pitch may be that of its pulses
         silent = not crowded and y > (MOST_MISSED + 1) * period and _silent(s, c, y, slowest(s.tracker))
-        _watch_turning(s, c, y, silent)
+        _watch_turning(s, c, y)
         if silent and s.reversal.stood == 1:
             search(s, c)
         elif silent:
@@ -311,35 +311,18 @@ def _silent(s: State, c: Const, y: float, period: float) -> bool:
 
 
 @kernel
-def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
-    """Look whether the engine may have turned back in an interval; then its place is doubted.
-
-    Args:
-        s: record of State.
-        c: record of Const.
-        y: interval [us].
-        silent: it goes beyond all teeth that are counted.
-    """
+def _watch_turning(s: State, c: Const, y: float) -> None:
+    """Look whether the engine may have turned back in an interval [us]; then its place is doubted."""
     re, pitches = s.reversal, s.tracker.pitches
     behind = s.index - 1 if s.index > 0 else c.pulses - 1
     before = behind - 1 if behind > 0 else c.pulses - 1
     u2, u1, u = s.y2 / pitches[before], s.y1 / pitches[behind], y / pitches[s.index]
-    slower = reversal.slower(re, u, s.tracker.variance)
     crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST  # intervals of a burst are no engine's
     stopping = not crowded and reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u, s.tracker.variance)
-    period = best(s.tracker).period
-    jitter = reversal.grown(s.tracker.variance)
-    slow = u > c.slowest_us * (1.0 + jitter) or min(u, period) > c.slowest_us
-    nearly = slow and period > c.slowest_us / ABRUPT
-    steady = max(u1, period) if jitter > 0.0 else u1  # an interval that is short by jitter is no speed
-    sudden = not silent and not stopping and reversal.sudden(re, c.turn_us, steady, u, s.tracker.variance)
-    if slower or stopping or nearly:
+    if stopping or min(u, best(s.tracker).period) > c.slowest_us:
         reversal.begin(re, c.pulses, s.index, y)
-    if slower or stopping or nearly or (sudden and s.phase == CONFIRMED):
         doubt(s)
-    if slower or stopping or (nearly and not sudden):
         re.stood = 1
-    if slower:
         s.held_fault = -1
 
 

@@ -50,6 +50,15 @@ def missing(de: Defects) -> int:
 
 
 @kernel
+def of_wheel(de: Defects) -> bool:
+    """Tell whether a tooth is missing, or its edge far off, in each turn; a pulse too many need not be the wheel's."""
+    for k in range(de.count):
+        if de.turns > 0 and de.nets[k] >= 0:
+            return True
+    return False
+
+
+@kernel
 def knows(de: Defects, tooth: int, net: int) -> bool:
     """Tell whether a fault is one of those that come again in each turn."""
     for k in range(de.count):

@@ -35,7 +35,7 @@ RESIDUALS = 5
 class Shape(Record):
     """Evidence of missed and added pulses.
 
-    The residual has five values in order of time. paper: from the first exceedance on; adaptive: up to the decision.
+    The residual has five values in order of time, up to the decision.
     """
 
     count: f8 = means("count")
@@ -110,7 +110,7 @@ class Relocated(Record):
 class Damaged(Record):
     """Evidence of a tooth that is not where it belongs."""
 
-    tooth: f8 = means("tooth; -1: one is missing in each turn, not told which")
+    tooth: f8 = means("tooth; -1: it is not told which")
     off: f8 = means("later than the others say; 1 and more: so many are missing", "pitch")
     speed: f8 = means(unit="rpm")
 
@@ -259,7 +259,7 @@ FAULTS = (
         "P0336-07",
         "a tooth is far from its place, or missing in each turn: bent, chipped, broken off, or of another wheel",
         labels(Damaged),
-        Debounce(failed_after=3, passed_after=10),
+        _ONCE,
         tested="tooth away from its place [pitch]",
     ),
     Fault(
@@ -310,7 +310,7 @@ BLAMES = {
     "reversed": (Blame("engine", "plant"),),
     "runout": (_WHEEL,),
     # A place that is not proven judges no edge of the cam.
-    "cam_correlation": (_CAM, Blame("timing", "plant"), _SENSOR._replace(share=0.02)),
+    "cam_correlation": (_CAM, Blame("timing", "plant"), _SENSOR._replace(share=0.01)),
     "cam_silent": (_CAM,),
     "relocated": (_SENSOR,),
     "damaged_tooth": (_WHEEL,),

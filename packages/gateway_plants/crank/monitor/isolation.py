@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
-from gateway_plants.crank.monitor import anchor, defects, noise, runout, turns, wrong_wheel
+from gateway_plants.crank.monitor import anchor, defects, noise, turns, wrong_wheel
 from gateway_plants.crank.monitor.faults import ADDED, MISSED, NOISE, PULSES_LOST, SYNC_LOST, Reports
 from gateway_plants.crank.monitor.sync_state import (
     CONFIRMED,
@@ -17,13 +17,13 @@ from gateway_plants.crank.monitor.sync_state import (
     doubt,
     search,
     shape,
+    slow_since,
     speed,
     tooth_of,
     uncover,
 )
-from gateway_plants.crank.pulse_tracking.acquisition import begin_later
 from gateway_plants.crank.pulse_tracking.hypotheses import HOPELESS
-from gateway_plants.crank.pulse_tracking.tracker import best, expect, keep_best, marginalise_decided, unanimous
+from gateway_plants.crank.pulse_tracking.tracker import COARSE, best, expect, keep_best, marginalise_decided, unanimous
 
 #: Pulses missed in a row from which on it is loss of signal.
 LOSS = wrong_wheel.LOSS
@@ -31,23 +31,16 @@ LOSS = wrong_wheel.LOSS
 TOGETHER = 8
 #: A decision that took more pulses than this, or than half a turn, is held until the next gap has proven it.
 LATE = 8
-#: Parts of a turn: by one more the search begins later for each place that was refused. What follows in each turn may
-#: be like the gap.
+#: Parts of a turn by which the search begins later.
 PARTS = 8
+#: Behind an interval long enough for an engine to turn back in, one that took more is none of a pulse missed or added.
+AT_ONCE = 3
 
 
 @kernel
 def lose(s: State, c: Const, out: Reports, cost: float) -> None:
-    """Report that synchronisation is lost, and search.
-
-    A place that was proven until less than two turns ago, and is doubted by nothing but pulses too close for any
-    engine, counts as proven, if nothing else has been told of these (as doubled edges); not at the starter's speed,
-    where an engine that turns back has such pulses as well.
-    """
-    of_late = s.teeth - s.doubted < 2 * c.pulses and s.hole == 0 and s.reversal.stood == 0
-    of_late = of_late and s.teeth - s.named > 2 * c.pulses and s.teeth - s.burst.crowded < 2 * c.pulses
-    of_late = of_late and s.speed_rpm > runout.FIRING_RPM and s.doubling == 0 and not wrong_wheel.unsure(s, c)
-    if s.phase == CONFIRMED or of_late:
+    """Report that synchronisation is lost, if the place was proven, and search."""
+    if s.phase == CONFIRMED:
         e = report(out, SYNC_LOST, True, cost, HOPELESS).sync_lost
         e.teeth, e.index, e.speed, e.cost = s.teeth, s.index, speed(s, c), cost
         s.losses += 1
@@ -81,16 +74,17 @@ def _fail(s: State, c: Const, out: Reports, fault: int, number: int, first: int)
     """Report missed or added pulses from tooth ``first`` on; a tentative place keeps them until it is proven.
 
     But not what came once where the place itself may have been wrong: frames were lost, the engine may have turned
-    back, or it was found anew, and one more tooth than that moves it, or its gap was not seen.
+    back, or it was found anew, and one more tooth than that moves it, or its gap was not seen; nor where edges are too
+    noisy to count by.
     """
     guessed = s.hole == 1 or s.reversal.stood == 1 or (s.doubted == NEVER and (s.sure == 0 or number > 1))
+    guessed = guessed or s.tracker.variance > COARSE
     if s.phase == TENTATIVE and guessed and s.recurring == 0:
         return
     if s.phase == TENTATIVE:
         s.held_fault = fault
         shape(s, c, number, first, s.held)
         return
-    s.named = s.teeth
     shape(s, c, number, first, report(out, fault, True, s.tracker.residual, 0.5).pulses)
 
 
@@ -101,7 +95,7 @@ def _beside_gap(c: Const, tooth: int) -> bool:
 
 
 @kernel
-def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
+def _suspicious(s: State, c: Const, tooth: int, net: int, out: Reports) -> bool:
     """Tell whether a fault found at a place that is not proven speaks against the place.
 
     One fault does not: it is held until the place is proven. Nor do those that come again a turn later at the same
@@ -121,7 +115,18 @@ def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
     s.recurring = 1 if s.defects.turns > 0 else 0
     if s.recurring == 1:
         expect(s.tracker, c.pulses, tooth, net)
+    if s.recurring == 1 and s.hole == 1 and s.doubted != NEVER:
+        _tell_damaged(s, c, tooth, net, -1, out)
     return False
+
+
+@kernel
+def _tell_damaged(s: State, c: Const, tooth: int, net: int, named: int, out: Reports) -> None:
+    """Report a tooth, as ``named``, that is missing or far from its place in each turn, when enough have shown it."""
+    if c.turns == 1 and s.defects.turns >= defects.SURE and net > 0:
+        turns.tell_broken(named, net, speed(s, c), out)
+    elif c.turns == 1 and s.defects.turns >= defects.SURE and net == 0:
+        turns.tell_bent(s, c, tooth, named, out)
 
 
 @kernel
@@ -158,12 +163,18 @@ def decide(s: State, c: Const, out: Reports) -> None:
     crowd = added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST
     burst = crowd and noise.close(s.burst, c.firing_us)
     s.burst.known = 1 if s.phase == CONFIRMED and added >= noise.BURST else 0
-    if s.phase == CONFIRMED and (s.tracker.took > min(LATE, c.pulses // 2) or wrong_wheel.unsure(s, c)):
+    slow = slow_since(s, c, s.tracker.took + 1)
+    late = s.tracker.took > min(LATE, c.pulses // 2)
+    if s.phase == CONFIRMED and (late or slow or wrong_wheel.unsure(s, c)):
         doubt(s)
-    if s.phase == TENTATIVE and not burst and _suspicious(s, c, tooth, missed - added):
+    if slow and s.tracker.took > AT_ONCE:
+        s.reversal.stood = 1
+        s.held_fault = -1
+    if s.phase == TENTATIVE and not burst and _suspicious(s, c, tooth, missed - added, out):
         lose(s, c, out, s.tracker.mean_cost)
         s.refused += 1
-        begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses if c.pulses >= anchor.FEW else 0)
+        # What follows in each turn may be like the gap: for each place that was refused it begins a part later.
+        s.search.seen = -(s.refused * (c.pulses // PARTS + 1) % c.pulses) if c.pulses >= anchor.FEW else 0
         return
     s.since = 0
     if missed != added:
@@ -175,9 +186,9 @@ def decide(s: State, c: Const, out: Reports) -> None:
         return
     s.corrections += missed - added
     s.uneven = s.teeth if missed != added else s.uneven
+    if s.phase == CONFIRMED:
+        _learn(s, c, tooth, missed - added, out)
     own = defects.knows(s.defects, tooth, missed - added)
-    if s.phase == CONFIRMED and missed != added:
-        _learn(s, c, tooth, missed - added, own, out)
     missed, added = max(missed, 0), max(added, 0)
     s.recent_missed += 0 if own else missed
     s.recent_added += 0 if own else added
@@ -210,15 +221,14 @@ def decide(s: State, c: Const, out: Reports) -> None:
 @kernel
 def _tell_noise(s: State, c: Const, out: Reports) -> None:
     """Report a burst whose teeth were counted all the same; a place that is not proven keeps nothing of it."""
-    s.named = s.teeth
     s.burst.told = s.teeth
     e = report(out, NOISE, True, s.burst_added, noise.BURST).noise
     e.count, e.tooth, e.speed = s.burst_added, tooth_of(s, c, s.burst_tooth), speed(s, c)
 
 
 @kernel
-def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) -> None:
-    """Learn what comes again in each turn; a tooth that is missing so is the wheel's.
+def _learn(s: State, c: Const, tooth: int, net: int, out: Reports) -> None:
+    """Learn what comes again in each turn; a tooth that is missing so, or far from its place, is the wheel's.
 
     A pulse too many is not: ignition comes at the same angle as well.
 
@@ -226,16 +236,16 @@ def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) ->
         s: record of State.
         c: record of Const.
         tooth: at which pulses were missed or added.
-        net: pulses missed less those added.
-        own: whether it is known to come again.
+        net: pulses missed less those added; 0: its edge is far off.
         out: record of Out.
     """
-    if own:
-        s.anchor.unchecked = 0
-        expect(s.tracker, c.pulses, tooth, net)
-    if own and s.teeth - s.decided > c.pulses - TOGETHER:  # nothing else is missing or added in this turn
+    defects.learn(s.defects, c.pulses, tooth, net, s.teeth)
+    if not defects.knows(s.defects, tooth, net):
+        return
+    s.anchor.unchecked = 0
+    expect(s.tracker, c.pulses, tooth, net)
+    if s.teeth - s.decided > c.pulses - TOGETHER:  # nothing else is missing or added in this turn
         s.recent_missed = 0
         s.recent_added = 0
-    defects.learn(s.defects, c.pulses, tooth, net, s.teeth)
-    if own and net > 0 and s.placed > NOT_TOLD and c.turns == 1 and s.defects.turns >= defects.SURE:
-        turns.tell_broken(tooth_of(s, c, tooth), net, speed(s, c), out)
+    if s.placed > NOT_TOLD:
+        _tell_damaged(s, c, tooth, net, tooth_of(s, c, tooth), out)

@@ -61,7 +61,7 @@ class Params(MonitorParams):
 
     moved: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("method", "gain", "threshold", "follow_speed"),
-        "of the paper's method, which is in the study (gateway evaluate crank); leave the key out",
+        "of the paper's method, which holds at constant speed only; leave the key out",
     )
 
     wheel: WheelText = Field(description='trigger wheel, e.g. "60-2"')

@@ -7,6 +7,7 @@ from gateway_fdi.jit import kernel
 from gateway_plants.crank import wheel_estimation
 from gateway_plants.crank.monitor import anchor, competing_hypothesis, defects, no_gap, runout, turns, wrong_wheel
 from gateway_plants.crank.monitor.faults import ADDED, RELOCATED, TWO_PLACES, Reports
+from gateway_plants.crank.monitor.reversal import STOPS
 from gateway_plants.crank.monitor.sync_state import (
     BY_CAM,
     CONFIRMED,
@@ -41,9 +42,9 @@ def prove(s: State, c: Const, out: Reports) -> None:
 
     Where the gap was not seen for what it is, or may be a turning point, one turn can fit by chance: a second one has
     to. Where single pulses cannot be told from noise the index may slip; if a defect of each turn alone can look like
-    such noise, more turns have to show the gap where the turn before did than elsewhere, at first. None proves it while
-    it is filled by a pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth
-    that are missing of it in each turn.
+    such noise, more turns have to show the gap where the turn before did than elsewhere, at first. None proves it
+    while it is filled by a pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the
+    teeth that are missing of it in each turn.
     """
     if c.even == 1:
         if s.since >= c.pulses or s.defects.turns >= EVEN_TURNS:
@@ -157,8 +158,7 @@ def _told_apart(s: State, c: Const) -> bool:
 
     A pulse too many halfway between two teeth is what marks 12+1.
     """
-    added = defects.missing(s.defects) == 0
-    return bool(s.tracker.variance <= COARSE and not (added and c.anchor.ratio == 0.0))
+    return bool(s.tracker.variance <= COARSE and (defects.of_wheel(s.defects) or c.anchor.ratio > 0.0))
 
 
 @kernel
@@ -275,7 +275,7 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
 def relocate(s: State, c: Const, out: Reports, found: int) -> None:
     """Put the index right by a shift that the whole turn proves."""
     _move(s, c, found)
-    if s.phase == CONFIRMED and not wrong_wheel.unsure(s, c):
+    if s.phase == CONFIRMED and not wrong_wheel.unsure(s, c) and best(s.tracker).period < STOPS * c.turn_us:
         off = found if 2 * found <= c.pulses else found - c.pulses
         e = report(out, RELOCATED, True, off, 0.0).relocated
         e.shift, e.tooth, e.speed = off, s.index, speed(s, c)

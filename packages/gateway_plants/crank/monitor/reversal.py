@@ -30,7 +30,6 @@ class Reversal(Record):
     index: i4 = means("tooth before the slowest interval; -1: none")
     count: i4 = means("pulses since")
     slowest: f8 = means("slowest interval", "us")
-    before: f8 = means("the interval before a sudden one, by its pitches; 0: none", "us")
     stood: u1 = means("1: the engine may have turned back, and the place was not proven since")
     total: i8 = means("reversals told")
 
@@ -45,11 +44,9 @@ GREW = 0.2
 STEEP = 1.5
 #: Deviation of an edge that is usual [pitch]; how many times what goes beyond it an interval grows by itself.
 USUAL, JITTERS = 0.03, 5.0
-#: Growth from which on an interval is a sudden one, and from the interval before it to the one behind it from which on
-#: it was not a pulse that was missed.
-ABRUPT, SLOWER = 1.6, 1.3
-#: An engine stops within a pitch, at its hardest, when one takes so much of the least time over a turning point.
-STOPS = 0.7
+#: An engine stops within a pitch, at its hardest, when the one before takes so much of the least time over a turning
+#: point: 2 / (2 + sqrt(2)), less jitter.
+STOPS = 0.55
 
 
 @kernel
@@ -77,33 +74,6 @@ def stopping(longest: float, span: float, u2: float, u1: float, u: float, varian
     jitter = grown(variance)
     steep = u > (STEEP + jitter) * u1 or u1 > (STEEP + jitter) * u2
     return bool(u > longest and steep and u >= u1 > (1.0 + GREW / span + jitter) * u2 and u2 > 0.0)
-
-
-@kernel
-def sudden(re: Reversal, longest: float, u1: float, u: float, variance: float) -> bool:
-    """Tell whether an engine so slow that it stops within a pitch may have done so in the latest interval.
-
-    It may as well be a pulse missed: the next interval tells (:func:`slower`).
-
-    Args:
-        re: record of Reversal.
-        longest: as of :func:`stopping`.
-        u1: the last interval but one, over one pitch [us].
-        u: the last one.
-        variance: of an edge [pitch^2].
-    """
-    if u <= longest or u1 < STOPS * longest or u < (ABRUPT + grown(variance)) * u1:
-        return False
-    re.before = u1
-    return True
-
-
-@kernel
-def slower(re: Reversal, u: float, variance: float) -> bool:
-    """Take the interval [us a pitch] behind a sudden one; returns whether the engine is slower than it was before."""
-    before = re.before
-    re.before = 0.0
-    return bool(u > (SLOWER + grown(variance)) * before > 0.0)
 
 
 @kernel

@@ -11,7 +11,7 @@ from gateway.monitors.contract import report
 from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1, u1s
 from gateway_plants.crank.monitor import anchor, candidate_wheels, competing_hypothesis, defects, no_gap, noise
 from gateway_plants.crank.monitor.faults import RESIDUALS, Reports, Shape
-from gateway_plants.crank.monitor.reversal import Reversal
+from gateway_plants.crank.monitor.reversal import STOPS, Reversal
 from gateway_plants.crank.monitor.runout import ALLOWED, ALLOWED_RPM, FIRING_RPM, Law
 from gateway_plants.crank.pulse_tracking.acquisition import Search, restart
 from gateway_plants.crank.pulse_tracking.hypotheses import RING
@@ -146,7 +146,6 @@ class State(Record):
     burst_tooth: i4 = means("tooth of the first of these")
     unclean: i4 = means("revolutions in a row with a defect")
     doubted: i8 = means("pulse at which a proven place was doubted")
-    named: i8 = means("pulse at which pulses were last reported")
     uneven: i8 = means("pulse at which pulses were last found missed or added, since the cam told the place")
     speed_rpm: f8 = means("speed of the last turn", "rpm")
     slowest_rpm: f8 = means("slowest speed so far; 0: none", "rpm")
@@ -223,7 +222,6 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     s.rival.other = competing_hypothesis.NONE
     s.defects.next = -1
     s.doubted = NEVER
-    s.named = NEVER
     s.uneven = NEVER
     s.burst.told = NEVER
     s.reversal.index = -1
@@ -334,6 +332,22 @@ def cover(s: State, c: Const, slot: int) -> None:
     """Note that a slot was seen as it is at the place."""
     s.uncovered -= 1 - s.covered[slot % c.repeats]
     s.covered[slot % c.repeats] = 1
+
+
+@kernel
+def slow_since(s: State, c: Const, number: int) -> bool:
+    """Tell whether the engine may have turned back in one of the last intervals: slow enough, as one beside it is.
+
+    Nothing is told of a wheel of few pulses, whose intervals are as long at any speed of a starter.
+    """
+    if c.teeth < anchor.FEW:
+        return False
+    an, size = s.anchor, c.anchor.length
+    for k in range(1, min(number, size - 1) + 1):
+        before, behind = an.intervals[(an.at - k - 1) % size], an.intervals[(an.at - k + 1) % size] if k > 1 else 0.0
+        if an.intervals[(an.at - k) % size] > c.turn_us and max(before, behind) > STOPS * c.turn_us:
+            return True
+    return False
 
 
 @kernel

@@ -108,7 +108,6 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
     s.doubling = 1 if doubled > max(DOUBLE_SHARE * c.pulses, DOUBLED_AT_ONCE) else 0
     if s.doubling == 1:
         share = doubled / c.pulses
-        s.named = s.teeth
         d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
         d.share, d.teeth, d.speed = share, s.teeth, speed(s, c)
     s.unclean = 0 if clean else s.unclean + 1
@@ -129,10 +128,25 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
 
 
 @kernel
-def tell_broken(tooth: int, number: int, rpm: float, out: Reports) -> None:
-    """Report teeth that each turn lacks, from ``tooth`` on (-1: not told which): they are the wheel's."""
-    d = report(out, DAMAGED, True, number, BENT).damaged
-    d.tooth, d.off, d.speed = tooth, number, rpm
+def tell_broken(tooth: int, off: float, rpm: float, out: Reports) -> None:
+    """Report a tooth (-1: not told which) that each turn has so far off its place [pitch]; 1 and more: so many lack."""
+    d = report(out, DAMAGED, True, off, BENT).damaged
+    d.tooth, d.off, d.speed = tooth, off, rpm
+
+
+@kernel
+def tell_bent(s: State, c: Const, tooth: int, named: int, out: Reports) -> None:
+    """Report a tooth whose edge each turn has far off, as ``named``, unless edges are so noisy that it may be chance.
+
+    How far is what the last turn says, by the places of its neighbours.
+    """
+    since = (s.index - tooth) % c.pulses
+    at = s.anchor.at - 1 - since
+    before, behind = s.anchor.intervals[at % c.anchor.length], s.anchor.intervals[(at + 1) % c.anchor.length]
+    span = c.wheel.nominal[(tooth - 1) % c.pulses] + c.wheel.nominal[tooth]
+    off = before / (before + behind) * span - c.wheel.nominal[(tooth - 1) % c.pulses]
+    if abs(off) > max(BENT, BENT_SIGMAS * s.tracker.variance**0.5):
+        tell_broken(named, off, speed(s, c), out)
 
 
 @kernel
@@ -155,7 +169,7 @@ def _judge_wheel(s: State, c: Const, out: Reports) -> None:
         r.speed = s.speed_rpm
     off = s.profile.off
     limit = max(BENT, min(BENT_SIGMAS * s.profile.scatter, BENT_MOST))
-    if abs(off) <= limit and defects.missing(s.defects) > 0:
-        return  # a tooth is damaged: it is missing
+    if abs(off) <= limit and defects.of_wheel(s.defects):
+        return  # a tooth is damaged: it is missing, or too far off to be learned
     d = report(out, DAMAGED, abs(off) > limit, abs(off), limit).damaged
     d.tooth, d.off, d.speed = tooth_of(s, c, s.profile.bent), off, s.speed_rpm

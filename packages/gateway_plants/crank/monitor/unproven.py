@@ -58,9 +58,13 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         number = defects.missing(s.defects)
         shape(s, c, number if number > 0 else s.defects.count, 0, s.held)
         s.held.tooth = -1  # every place that is left has it, each at another tooth
-        tell_held(s, MISSED if number > 0 else ADDED, out)
+        if number > 0 or not defects.of_wheel(s.defects):
+            tell_held(s, MISSED if number > 0 else ADDED, out)
         if number > 0:
             turns.tell_broken(-1, number, s.held.speed, out)
+            return
+        if defects.of_wheel(s.defects):
+            turns.tell_bent(s, c, int(s.defects.teeth[0]), -1, out)
             return
     elif (again or wrong_wheel.expected(s) or wrong_wheel.unsure(s, c)) and wa.pulses < LONG_PATIENCE * patience:
         return

@@ -42,12 +42,6 @@ def restart(se: Search) -> None:
 
 
 @kernel
-def begin_later(se: Search, pulses: int) -> None:
-    """Forget the intervals, and pass over those of so many pulses."""
-    se.seen = -pulses
-
-
-@kernel
 def seek(se: Search, logs: f8s, period: int, y: float) -> int:
     """Take an interval; returns the index of the tooth that ended it, -1: not known yet.
 

@@ -160,8 +160,8 @@ def marginalise_decided(tr: Tracker) -> None:
 def expect(tr: Tracker, pulses: int, tooth: int, net: int) -> None:
     """Expect pulses missed, less those added, at a tooth in the next turns as well."""
     tr.again = AGAIN
-    for k in range(max(net, 1)):
-        tr.nets[(tooth + k) % pulses] = 1 if net > 0 else -1
+    for k in range(abs(net)):
+        tr.nets[(tooth + k if net > 0 else tooth) % pulses] = 1 if net > 0 else -1
 
 
 @kernel

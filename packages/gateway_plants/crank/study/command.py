@@ -12,6 +12,7 @@ from rich.table import Table
 from gateway_bench.cli.study import beside, headed, show
 from gateway_plants.crank.study import outside as beyond
 from gateway_plants.crank.study import paper
+from gateway_plants.crank.study.follow import METHODS
 from gateway_plants.crank.study.table import (
     KINDS,
     Alarms,
@@ -33,8 +34,7 @@ def _scores(scores: list[Score]) -> list[Table]:
         table = headed(f"Faults: {group}", ["wheel", "fault"], ["runs"])
         for name in ("detected", "named", "labelled", "delay", "at once"):
             table.add_column(f"adaptive\n{name}", justify="right", style="bold")
-        table.add_column("paper\nnamed", justify="right")
-        for method in ("paper", "ratio", "threshold"):
+        for method in ("ratio", "threshold"):
             table.add_column(f"{method}\nlabelled", justify="right")
             table.add_column("wrong/\nno sync", justify="right")
         mine = [score for score in scores if score.group == group]
@@ -43,8 +43,8 @@ def _scores(scores: list[Score]) -> list[Table]:
             ours = by["adaptive"]
             row = [key[0], f"{key[2]} {key[1]}", str(ours.runs)]
             row += [_share(v) for v in (ours.detected, ours.named, ours.labelled)]
-            row += [f"{ours.delay:.2f}", _share(ours.at_once), _share(by["paper"].named)]
-            for method in ("paper", "ratio", "threshold"):
+            row += [f"{ours.delay:.2f}", _share(ours.at_once)]
+            for method in ("ratio", "threshold"):
                 peer = by[method]
                 row += [_share(peer.labelled), f"{peer.wrong:.2f}/{peer.unsynced:.2f}"]
             table.add_row(*row, end_section=(key[1], key[2]) == KINDS[-1])
@@ -67,7 +67,7 @@ def _alarm_table(rows: list[Alarms]) -> Table:
 def _outside_table(rows: list[beyond.Outcome]) -> Table:
     """Return the cases outside the regular sweep: runs with a report, and with a wrong tooth that was proven."""
     title = "Outside the regular sweep: runs with a report / with a wrong proven tooth / % of pulses unproven"
-    table = headed(title, ["group", "case", "runs", *beyond.METHODS, "adaptive reported"])
+    table = headed(title, ["group", "case", "runs", *METHODS, "adaptive reported"])
     sums = list(beyond.summed(rows))
     for group, case in dict.fromkeys((row.group, row.case) for row in sums):
         mine = {row.method: row for row in sums if (row.group, row.case) == (group, case)}
@@ -107,7 +107,7 @@ def crank(*, runs: int, pulses: int, outside: int, seed: int, json: bool, plot: 
 
 def _explained(seed: int) -> str:
     return (
-        f"seed {seed}. adaptive, paper: methods of crank_sync; ratio: as FOME and rusEFI find the gap;"
+        f"seed {seed}. adaptive: the method of crank_sync; ratio: as FOME and rusEFI find the gap;"
         " threshold: as Speeduino does, filter 50 %.\n"
         "detected, named (direction and count), labelled (every tooth right from 4 pulses after the"
         " fault for 3 turns), at once: % of runs; delay: pulses from\nthe fault's last pulse to the"

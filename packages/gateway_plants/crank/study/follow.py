@@ -11,17 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway_fdi.jit import kernel, zeros
-from gateway_plants.crank.arrays import collect, track
+from gateway_plants.crank.arrays import track
 from gateway_plants.crank.monitor import sync_state
 from gateway_plants.crank.monitor.monitor import MONITOR, Params
-from gateway_plants.crank.study import constant_speed
 from gateway_plants.crank.study.peers import PEER, ratio, threshold
 from gateway_plants.crank.wheel import Wheel
 
-Method = Literal["adaptive", "paper", "ratio", "threshold"]
-METHODS: tuple[Method, ...] = ("adaptive", "paper", "ratio", "threshold")
-#: The paper's observer gain D, (9).
-GAIN = 0.6
+Method = Literal["adaptive", "ratio", "threshold"]
+METHODS: tuple[Method, ...] = ("adaptive", "ratio", "threshold")
 #: Reports kept of one train.
 MOST_REPORTS = 4096
 
@@ -37,7 +34,7 @@ class Followed:
         fault: shape (m,), the fault reported.
         count: shape (m,), its count, the first value of its evidence.
         tooth: shape (m,), the second one: the tooth, where pulses were missed or added.
-        alarms: exceedances that were looked into (paper), losses of synchronisation (peers).
+        alarms: losses of synchronisation (peers).
         reversals: times that the engine turned back (adaptive).
     """
 
@@ -49,18 +46,6 @@ class Followed:
     tooth: NDArray[np.int64]
     alarms: int
     reversals: int = 0
-
-
-@kernel
-def _paper(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: Any) -> int:
-    n = 0
-    for k in range(y.shape[0]):
-        out.n = 0
-        constant_speed.tooth(s, c, y[k], out)
-        teeth[k] = s.index if s.phase != constant_speed.SEARCH else -1
-        proven[k] = s.phase == constant_speed.TRACK
-        n = collect(out, n, k + 1, reports)
-    return n
 
 
 @kernel
@@ -80,7 +65,7 @@ def follower(
     """Return a function that takes the pulse times of one train [us], each from the start.
 
     Args:
-        method: one of ours by its name in the configuration, or a peer (see :mod:`.peers`).
+        method: ours, or a peer (see :mod:`.peers`).
         wheel: the wheel.
         report_reversal: of the adaptive method's parameters.
     """
@@ -102,11 +87,6 @@ def follower(
             c[0]["told"] = report_reversal
             n = track(s[0], c[0], out[0], y, teeth, proven, reports)
             reversals = int(s[0]["reversal"]["total"])
-        elif method == "paper":
-            s, c = zeros(1, constant_speed.State), zeros(1, constant_speed.Const)
-            constant_speed.prepare(s[0], c[0], wheel, GAIN, 0.5, False)
-            n = _paper(s[0], c[0], out[0], y, teeth, proven, reports)
-            alarms = int(s[0]["alarms"])
         else:
             s = zeros(1, PEER)
             _peer(s[0], method == "ratio", pulses, gap, y, teeth, proven)

@@ -27,11 +27,10 @@ from gateway_bench.study_pool import Progress, run
 from gateway_plants.crank.ecu.kinematics import tooth_times
 from gateway_plants.crank.monitor.faults import FAULTS
 from gateway_plants.crank.study.cases import JITTER, TOOTH_ERROR
-from gateway_plants.crank.study.follow import Method, follower_of, warm
+from gateway_plants.crank.study.follow import METHODS, follower_of, warm
 from gateway_plants.crank.wheel import Wheel
 
 WHEELS = ("60-2", "36-1", "30-2", "24-1", "12-1", "36-2", "36-2-1", "36-2-2-2", "12+1")
-METHODS: tuple[Method, ...] = ("adaptive", "ratio", "threshold")
 ORDERS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
 #: Speed [rpm] -> amplitudes of the speed's ripple.
 AMPLITUDES = {250.0: (0.1, 0.2, 0.3, 0.4), 850.0: (0.04, 0.06, 0.08, 0.1, 0.12)}

@@ -1,4 +1,20 @@
-"""What a reader of paper 000 looks for, from its equations (1) to (8), beside what comes out here."""
+"""What a reader of paper 000 looks for, from its equations (1) to (8), beside what comes out here.
+
+Source: Kim, Suh, Park, Yun, "A Method of Fault Diagnosis for Engine Synchronization Using Analytical Redundancy"
+(2003). The signal is the pulse time PT, the interval between two pulses, at constant speed::
+
+    x[k+1] = x[k] + u[k] + f[k],   y[k] = x[k] + n[k]                                (1), (2)
+    xh[k+1] = xh[k] + u[k] + D r[k],   r[k] = y[k] - xh[k]                           (6), (8)
+
+Corrections to the print:
+
+* (3), first line: the zeros lie in ``(n-1) Pi < k < n Pi - 1``; as printed the range is empty.
+* (6), second line: the output equation is ``yh[k] = xh[k]``; printed ``y[k] = xh[k]``.
+* Threshold: 1.0 in section 4 is 2.54 sqrt(gamma); the residual's deviation by (13) is ``sqrt(2 gamma / (2 - D))``.
+* Count: the residual's duration tells it only for a narrow window of thresholds. The lag from the first exceedance to
+  the largest residual of opposite sign is the count: missed 1 gives r / delta = 1, -(1+D), ...
+* (4), (5) describe only the *displaced gap*. A pulse that is really missed leaves, at once, an interval of 2 alpha too.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +29,8 @@ PULSES, GAIN, GAMMA, ALPHA, BETA = 28, 0.6, 0.16, 2.0, 6.0
 TURNS = 4
 #: Threshold of section 4, and ours; runs of a claim, seeds from 0 on.
 LEVELS, RUNS = (1.0, (BETA - ALPHA) / 2), 100
+#: Largest count that the lag is read for.
+LARGEST_COUNT = 3
 
 
 def fault_signal(count: int, length: int, turn: int, pulses: int = PULSES) -> NDArray[np.float64]:
@@ -67,6 +85,22 @@ def paper_run(
 def deviation() -> float:
     """Return the residual's standard deviation by (13)."""
     return float((2 * GAMMA / (2 - GAIN)) ** 0.5)
+
+
+def displacement(residuals: NDArray[np.float64], step: float) -> int:
+    """Return by how many pulses the gap came early (+) or late (-), 0 if that is not what is seen.
+
+    The lag of the largest residual of opposite sign is the count; that is at least 1.096 of the gap's step.
+
+    Args:
+        residuals: shape (5,) or more, from the first exceedance on.
+        step: the gap's step delta.
+    """
+    opposite = -np.sign(residuals[0]) * residuals[1:5]
+    lag = int(np.argmax(opposite)) + 1
+    if lag > LARGEST_COUNT or opposite[lag - 1] < 0.65 * step:
+        return 0
+    return lag if residuals[0] > 0 else -lag
 
 
 def _rates(count: int) -> NDArray[np.float64]:
