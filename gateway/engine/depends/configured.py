@@ -36,17 +36,12 @@ def _fed(found: Depends, supply: SupplyParams, name: str, network: Network, key:
     """
     fed = _named(name, found, network, key)
     own = component(supply.kind, supply.name)
+
+    def behind(one: Seen) -> Seen:
+        return Seen(own, supply.share * one.power, f"feeds {name}", one.component.name)
+
     return {
-        fault: strongest(
-            [
-                *seen,
-                *(
-                    Seen(own, supply.share * one.power, f"feeds {name}", one.component.name)
-                    for one in seen
-                    if one.component.name in fed
-                ),
-            ]
-        )
+        fault: strongest([*seen, *(behind(one) for one in seen if one.component.name in fed)])
         for fault, seen in found.items()
     }
 
