@@ -24,7 +24,7 @@ from gateway_fdi import (
 from gateway_plants.crank.arrays import CrankWheel
 from gateway_plants.linear.arrays import Observer, PiBank
 from gateway_plants.linear.study import example
-from gateway_plants.linear.study.bank import records, walk
+from gateway_plants.linear.study.bank import bank_of, walk
 from gateway_plants.pedal.arrays import Voter
 
 SEED = 20261126
@@ -170,7 +170,7 @@ def test_the_bank_is_the_studys(rng):
     bank = PiBank(example.A, example.B, example.C, example.PERIOD, noise=example.NOISE, **limits)
     y, u = rng.normal(0.0, 0.01, (300, 3)), np.zeros((300, 2))
     y[150:, 1] += 0.5
-    ours, theirs = bank.run(y, u), walk(*records(5.0), y, u)
+    ours, theirs = bank.run(y, u), walk(*bank_of(5.0), y, u)
     for name in ("actuators", "sensors", "fault", "offset", "unexplained", "tested"):
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
     assert ours.sensors.any(0).tolist() == [False, True, False]
