@@ -84,15 +84,6 @@ def test_two_faults_at_once_are_not_isolated():
     assert [k for k, verdict in results.items() if verdict == contract.FAILED] == [FAULTS]
 
 
-def test_sizes_that_never_say_more_are_not_awaited_for_ever_where_tests_name_faults():
-    for by_size in (0, 1):
-        s, c, signatures = monitor(1)
-        confirmed_after(s, c, 500_000_000)
-        s.by_size, s.awaits = by_size, 1
-        results, _ = step(s, c, signatures[7] | signatures[139] | signatures[3], 10.0)
-        assert [k for k, verdict in results.items() if verdict == contract.FAILED] == [FAULTS] * (1 - by_size)
-
-
 def test_where_something_may_be_off_tests_name_nobody_against_sizes():
     """All tests of a fault, and of it alone, have fired: sizes say nothing, the same fault, another one."""
     for likely, expected in (((), FAULTS), ((7,), 7), ((7, 139), FAULTS), ((139,), FAULTS)):

@@ -4,8 +4,7 @@ Two ways to judge a residual: the CUSUM of what is beyond nu; or, for faults tha
 that its mean has jumped at one of the last samples, against noise of a standard deviation that nu says.
 
 That nothing explains what has fired is told only after :data:`PENDING` times as long as a name: tests of one fault
-fire one after the other, and one that is yet to come may tell it. So one fault has one DTC. Sizes that may say more are
-awaited for as long; where something may be off, until they do.
+fire one after the other, and one that is yet to come may tell it. So one fault has one DTC.
 
 A generator that gives no number (a root of what is negative, a division by zero) begins anew, and its test settles
 again, alone.
@@ -236,7 +235,7 @@ def decide(s: State, c: Const, out: Any) -> None:
         s.found = NOTHING
     else:
         said = _answer(s, c)
-        if said == OPEN and s.found == NOTHING and s.awaits == 1 and (s.by_size == 1 or s.joined_ns < c.pending_ns):
+        if said == OPEN and s.found == NOTHING and s.awaits == 1:
             return
         if said == OPEN and s.found == NOTHING and s.weighed == 1 and _count(s.likely, c.faults) <= MOST_TOGETHER:
             s.found = c.groups
