@@ -39,7 +39,10 @@ class Injected:
     """A fault of a car, as --inject has it, without its times.
 
     Attributes:
-        needs: other signals that are in their ranges wherever it shows.
+        car: whose.
+        text: kind, and the message or signal with its value.
+        truth: the component that is at fault.
+        needs: other signals; while one of them is out of its range, the fault does not show.
     """
 
     car: Car

@@ -15,7 +15,7 @@ from gateway_fleet.study.cause.drive import Told
 _EACH = 4
 #: Nothing else may have so much of the first one's probability.
 _TENTH = 0.1
-#: So much less is as likely: probabilities are told with four digits.
+#: Share of the first one's probability from which on another one is as likely: they are told with four digits.
 _EQUAL = 0.995
 
 
