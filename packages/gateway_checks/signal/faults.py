@@ -27,6 +27,8 @@ assert MOST_SIGNALS * len(KINDS) <= MAX_RESULTS, "a part reports all that it fin
 _SEEN = 0.5
 #: How likely a signal does not move where it must, because the other one is wrong that says so.
 _BESIDE = 0.01
+#: How likely it does not move where it must, because its message repeats one payload: all of 21 that were tried.
+_STANDS = 1.1
 
 #: Its time has passed when a test fails, and one frame that has the signal is all that it needs.
 _AT_ONCE = Debounce(failed_after=1, passed_after=1, jump_down=True)
@@ -98,6 +100,6 @@ def blames(p: PartParams) -> dict[str, list[Blame]]:
         kinds = kinds_of(watched)
         for kind in kinds:
             beside = [Blame(other, share=_BESIDE)] if kind == STUCK and other not in (None, own) else []
-            beside += [Blame(own, "frozen", _SEEN)] if kind == STUCK else []
+            beside += [Blame(own, "frozen", _STANDS)] if kind == STUCK else []
             found[f"{watched.name}.{KINDS[kind][0]}"] = [Blame(own, share=_SEEN / len(kinds)), *beside]
     return found

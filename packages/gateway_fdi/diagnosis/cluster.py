@@ -12,7 +12,8 @@ the time that it takes, behind the first failure that this component alone expla
 should have, so that its failure is the less probable (w (1 - w)).
 
 A component may be seen by way of another one: a message by its signals. If it alone explains a test that failed, that
-signal is wrong; so what passed counts for it as for this signal, wherever it is seen by way of it.
+signal is wrong; so what passed counts for it as for this signal, wherever it is seen by way of it. Each signal has a
+size of its own then, that all tests have to fit which see it.
 """
 
 from __future__ import annotations
@@ -65,10 +66,10 @@ class Cluster:
         self._from: Ints = state.passed_from[places]
         self._due: Ints = system.delay_ns[places]
         self._alarm: Floats = system.false_alarm[places]
-        sized = np.isfinite(state.gain[links]) & np.isfinite(self._residual_of(system.link_test[links]))
+        sized = np.isfinite(self._gain_of(links)) & np.isfinite(self._residual_of(system.link_test[links]))
         self._sized = np.bincount(column, weights=sized, minlength=len(self.suspects)) > 0
         self._sized |= np.isin(self.suspects, more)
-        self._known: dict[int, dict[int, float]] = {}
+        self._known: dict[int, dict[int, tuple[int, float]]] = {}
         self._by: dict[int, tuple[Ints, dict[int, float]]] = {}
         self._count_passes()
 
@@ -83,6 +84,11 @@ class Cluster:
     def _residual_of(self, tests: Ints) -> Floats:
         """Return the residuals of tests whose noise is known, NaN for others."""
         return np.where(np.isfinite(self._state.noise[tests]), self._state.residual[tests], np.nan)
+
+    def _gain_of(self, links: Ints) -> Floats:
+        """Return the gains by which tests see components, or what they see these by way of; NaN: not known."""
+        gains: Floats = self._state.gain[self._system.via[links]]
+        return gains
 
     def _count_passes(self) -> None:
         """Weigh suspects by their priors, and by the tests that would have seen them."""
@@ -100,7 +106,7 @@ class Cluster:
         latest[latest == never] = self._since.max(initial=never)  # what none blames may be behind any
         due = latest[column] + system.delay_ns[test]
         counts = state.until[test] >= due
-        by_size = self._sized[column] & np.isfinite(state.gain[links]) & np.isfinite(self._residual_of(test))
+        by_size = self._sized[column] & np.isfinite(self._gain_of(links)) & np.isfinite(self._residual_of(test))
         clear = np.where(counts & ~by_size, system.log_escape[links], 0.0)
         self.weights: Floats = system.odds[self.suspects] + np.bincount(
             column, weights=clear, minlength=len(self.suspects)
@@ -129,22 +135,14 @@ class Cluster:
             return total + math.fsum(self.prices)
         escape = np.prod(1.0 - self._powers(chosen), axis=1)
         fails = 1.0 - (1.0 - self._alarm) * escape
-        fitted = self.fit(suspects)
-        chance = 1.0 if fitted is None else fitted.chance
         if not fails.all():
             return NEVER
-        return total + float(np.log(fails).sum()) + math.log(chance) + self._by_way(chosen)
+        return total + float(np.log(fails).sum()) + math.log(self.fit(suspects)) + self._by_way(chosen)
 
     def _by_way(self, chosen: list[int]) -> float:
         """Return what passes weigh more, as those suspects see them by way of others that are wrong for sure."""
-        sees = self.power[:, chosen] > 0.0
-        alone = sees & (sees.sum(axis=1) == 1)[:, None]
-        total = 0.0
-        for at, k in enumerate(chosen):
-            ways, more = self._ways(k)
-            if more:
-                total += math.fsum(more.get(way, 0.0) for way in {ways[row] for row in np.flatnonzero(alone[:, at])})
-        return total
+        shown = self._shown(chosen)
+        return math.fsum(self._ways(k)[1].get(way, 0.0) for k in chosen for way in shown[k])
 
     def _ways(self, k: int) -> tuple[Ints, dict[int, float]]:
         """Return what each failed test sees a suspect by way of, and by each of these, what passes weigh more."""
@@ -183,56 +181,101 @@ class Cluster:
         late: NDArray[np.bool_] = sees & known & (self._from[:, None] <= due) & (due < self._since[:, None])
         return late
 
-    def _signed(self, k: int) -> dict[int, float]:
-        """Return tests that say something of a suspect's size -> gain: those that failed, those whose pass counts."""
+    def _signed(self, k: int) -> dict[int, tuple[int, float]]:
+        """Return tests that say something of a suspect's sizes: those that failed, those whose pass counts.
+
+        Of each the place of the component whose size it is, itself or what it is seen by way of; and the gain.
+        """
         if k not in self._known:
             self._known[k] = self._look(k) if self._sized[k] else {}
         return self._known[k]
 
-    def _look(self, k: int) -> dict[int, float]:
+    def _look(self, k: int) -> dict[int, tuple[int, float]]:
         system = self._system
         column, test, _, counts, _, _ = self._passes
         mine = slice(*np.searchsorted(column, (k, k + 1)))
         cleared = set(test[mine][counts[mine]].tolist())
         links = system.of_component[self.suspects[k]]
-        tests = system.link_test[links]
-        told = np.isfinite(self._state.gain[links]) & np.isfinite(self._residual_of(tests))
-        pairs = zip(tests[told].tolist(), self._state.gain[links[told]].tolist(), strict=True)
-        return {t: gain for t, gain in pairs if t in self._row or t in cleared}
+        tests, gains = system.link_test[links], self._gain_of(links)
+        told = np.isfinite(gains) & np.isfinite(self._residual_of(tests))
+        ways = system.link_component[system.via[links[told]]].tolist()
+        each = zip(tests[told].tolist(), ways, gains[told].tolist(), strict=True)
+        return {t: (way, gain) for t, way, gain in each if t in self._row or t in cleared}
 
-    def fit(self, suspects: tuple[int, ...]) -> sizes.Fit | None:
-        """Return the sizes of the suspects of a set whose gains are known; None: there are none.
+    def fit(self, suspects: tuple[int, ...]) -> float:
+        """Return how probable it is that residuals fit the sizes of a set's suspects as badly; 1: none has a size.
 
-        A residual that another suspect of the set disturbs, in a way that is not known, says nothing.
+        A suspect of the set may disturb a residual, or leave it alone: one whose gain is not known, by its power; one
+        that is seen by way of another, unless a failed test shows that this is wrong, as often as it makes that wrong.
+        The likelier of both counts: that all do so, or that none does.
         """
-        sized = [k for k in suspects if self._sized[k]]
-        if not sized:
-            return None
-        system = self._system
-        gains: dict[int, list[float]] = {}
-        for at, k in enumerate(sized):
-            for test, gain in self._signed(k).items():
-                gains.setdefault(test, [0.0] * len(sized))[at] = gain
+        system, shown = self._system, self._shown(list(suspects))
+        gains: dict[int, dict[tuple[int, int], float]] = {}
+        price: dict[tuple[int, int], float] = {}
+        for k in suspects:
+            for test, (way, gain) in self._signed(k).items():
+                gains.setdefault(test, {})[k, way] = gain
+            if len(suspects) > 1:
+                price |= {(k, way): share for way, share in self._shares(k).items() if way not in shown[k]}
+        disturbed = dict[int, float]()
         for k in suspects if len(suspects) > 1 else ():
-            known = self._signed(k)
-            for link in system.of_component[self.suspects[k]]:
-                if int(system.link_test[link]) not in known:
-                    gains.pop(int(system.link_test[link]), None)
-        tests = sorted(gains)
-        if not tests:
-            return None
-        state = self._state
-        return sizes.fit(
-            state.residual[tests], np.array([gains[t] for t in tests]), state.noise[tests], state.gain_error[tests]
-        )
+            known, links = self._signed(k), system.of_component[self.suspects[k]]
+            tests = system.link_test[links]
+            has = np.isfinite(self._gain_of(links)) & np.isfinite(self._residual_of(tests)) & self._sized[k]
+            for test, power, waits in zip(tests.tolist(), system.power[links].tolist(), has.tolist(), strict=True):
+                if waits and test not in known:
+                    gains.pop(test, None)
+                elif test not in known:
+                    disturbed[test] = 1.0 - (1.0 - disturbed.get(test, 0.0)) * (1.0 - power)
+        quiet = {t: {size: g for size, g in row.items() if size not in price} for t, row in gains.items()}
+        none = self._chance({t: row for t, row in quiet.items() if row})
+        prices = [disturbed[test] for test in gains if test in disturbed]
+        prices += [price[size] for size in {size for row in gains.values() for size in row} & price.keys()]
+        if not prices:
+            return none
+        left = {test: row for test, row in gains.items() if test not in disturbed}
+        return max(none, math.prod(prices) * self._chance(left))
+
+    def _shown(self, chosen: list[int]) -> dict[int, set[int]]:
+        """Return by suspect what it is seen by way of in tests that fail by it alone: that is wrong for sure."""
+        sees = self.power[:, chosen] > 0.0
+        alone = sees & (sees.sum(axis=1) == 1)[:, None]
+        return {k: {int(self._ways(k)[0][row]) for row in np.flatnonzero(alone[:, at])} for at, k in enumerate(chosen)}
+
+    def _shares(self, k: int) -> dict[int, float]:
+        """Return by what a suspect is seen by way of, how often it makes that wrong."""
+        system, own = self._system, self.suspects[k]
+        links = system.of_component[own]
+        via = system.via[links]
+        shares: dict[int, float] = {}
+        for way, share in zip(system.link_component[via].tolist(), system.power[links] / system.power[via], strict=True):
+            if way != own:
+                shares[way] = max(shares.get(way, 0.0), min(float(share), 1.0))
+        return shares
+
+    def _chance(self, gains: dict[int, dict[tuple[int, int], float]]) -> float:
+        """Return how probable as large a misfit is, of tests with their gains by each size."""
+        if not gains:
+            return 1.0
+        state, tests = self._state, sorted(gains)
+        each = sorted({size for of_test in gains.values() for size in of_test})
+        by_test = np.array([[gains[t].get(size, 0.0) for size in each] for t in tests])
+        return sizes.fit(state.residual[tests], by_test, state.noise[tests], state.gain_error[tests]).chance
+
+    def beside(self, suspects: tuple[int, ...]) -> list[int]:
+        """Return suspects that may be wrong beside a set: with one of them, what failed is likelier than it costs."""
+        passes = (1.0 - self._alarm) * np.prod(1.0 - self.power[:, list(suspects)], axis=1)
+        fails = 1.0 - passes[:, None] * (1.0 - self.power)
+        more = self.weights + np.log(fails / (1.0 - passes)[:, None]).sum(axis=0)
+        more[list(suspects)] = NEVER
+        return [int(k) for k in np.flatnonzero(more > 0.0)]
 
     def hidden_by(self, suspects: tuple[int, ...]) -> tuple[int, ...]:
         """Return places of components that may cancel what one of a set of suspects does; none, where its sizes fit.
 
         Two errors that cancel each other in a test leave it passing, so that no failed test needs the second one.
         """
-        fitted = self.fit(suspects)
-        if fitted is None or fitted.chance >= MISFIT:
+        if self.fit(suspects) >= MISFIT:
             return ()
         system, state = self._system, self._state
         tests = sorted({test for k in suspects for test in self._signed(k)})
@@ -253,9 +296,9 @@ class Cluster:
             power = self.power[:, list(suspects)]
             late = self._late(power) & (1.0 - power < TOLD)
             told += [Against(self.failed[k], "late", float(1.0 - power[k].max())) for k in np.flatnonzero(late.any(1))]
-        fitted = self.fit(suspects)
-        if fitted is not None and fitted.chance < TOLD**3:  # as small by chance once in eight times
-            told.append(Against(-1, "size", fitted.chance))
+        chance = self.fit(suspects)
+        if chance < TOLD**3:  # as small by chance once in eight times
+            told.append(Against(-1, "size", chance))
         return tuple(sorted(told, key=lambda one: (one.factor, one.test)))
 
     def waiting(self, suspects: set[int]) -> tuple[Wait, ...]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gateway_fdi.diagnosis.answer import Diagnosis, Group
 from gateway_fdi.diagnosis.cluster import Cluster
-from gateway_fdi.hitting import HittingSet, HittingSets
+from gateway_fdi.hitting import NEVER, HittingSet, HittingSets
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,9 @@ class Bounds:
     steps: int = 600
 
 
-#: So many of the likeliest diagnoses are asked whether their sizes fit.
-_LOOKED = 16
+#: So many of the likeliest diagnoses are asked whether their sizes fit, and for parts that are wrong beside them, if
+#: they are at least so probable against the first (its logarithm); those for parts that have got one, up to so many.
+_LOOKED, _WEAKEST, _LARGER = 16, math.log(1e-6), 64
 #: Logarithm of how probable it is that a further error has a size that no test has to fail by.
 _CANCELS = math.log(0.1)
 #: A test can still speak if it sees a component that is as probable as this.
@@ -39,7 +41,8 @@ _SUSPECTED = 0.01
 def solve(cluster: Cluster, bounds: Bounds) -> Group:
     """Return the diagnoses of a cluster, likeliest first."""
     found, waiting = _found(cluster, bounds)
-    for one in found[:_LOOKED]:
+    found = _larger(cluster, found)
+    for one in _likeliest(found):
         hidden = cluster.hidden_by(one.elements)
         if hidden:
             cluster, found = _beside(cluster, found, one, hidden)
@@ -81,6 +84,37 @@ def _found(cluster: Cluster, bounds: Bounds) -> tuple[list[HittingSet], list[flo
     return found, search.waiting
 
 
+def _larger(cluster: Cluster, found: list[HittingSet]) -> list[HittingSet]:
+    """Return the diagnoses, likeliest first, with those that are likelier than all of them with one part less.
+
+    A minimal diagnosis explains what fails, but maybe badly: a part that sees a test hardly is enough. De Kleer and
+    Williams (1987), section 4: any superset of a diagnosis is one, too.
+    """
+    known = {one.elements: one.weight for one in found}
+    bases = _likeliest(found)
+    looked = list(bases)
+    for one in looked:
+        for k in cluster.beside(one.elements) if len(looked) < _LARGER else ():
+            elements = tuple(sorted({*one.elements, k}))
+            if elements not in known:
+                missed = tuple(t for t in one.missed if not cluster.power[t, k])
+                known[elements] = weight = cluster.weight(elements, missed)
+                looked.append(HittingSet(elements, missed, weight))
+
+    larger = (one for one in looked[len(bases) :] if _is_likelier(one, known))
+    return sorted([*found, *larger], key=lambda one: -one.weight)
+
+
+def _likeliest(found: list[HittingSet]) -> list[HittingSet]:
+    return [one for one in found[:_LOOKED] if one.weight >= found[0].weight + _WEAKEST]
+
+
+def _is_likelier(one: HittingSet, known: Mapping[tuple[int, ...], float]) -> bool:
+    """Return whether a set is likelier than all that are known with one part less."""
+    less = (tuple(k for k in one.elements if k != out) for out in one.elements)
+    return one.weight > max(known.get(each, NEVER) for each in less)
+
+
 def _beside(
     cluster: Cluster, found: list[HittingSet], one: HittingSet, hidden: tuple[int, ...]
 ) -> tuple[Cluster, list[HittingSet]]:
@@ -93,12 +127,12 @@ def _beside(
     number = {int(c): k for k, c in enumerate(wide.suspects)}
     moved = [each._replace(elements=tuple(number[int(cluster.suspects[k])] for k in each.elements)) for each in found]
     base = moved[found.index(one)]
-    known = {each.elements for each in moved}
+    known = {each.elements: each.weight for each in moved}
     for c in hidden:
         elements = tuple(sorted({*base.elements, number[c]}))
-        weight = wide.weight(elements, base.missed) + _CANCELS
-        if elements not in known and weight > base.weight:
-            moved.append(HittingSet(elements, base.missed, weight))
+        more = HittingSet(elements, base.missed, wide.weight(elements, base.missed) + _CANCELS)
+        if elements not in known and _is_likelier(more, known):
+            moved.append(more)
     return wide, sorted(moved, key=lambda each: -each.weight)
 
 

@@ -39,8 +39,9 @@ class Oracle:
         self.now = standing(tests, updates)
         self.failed = [t for t in tests if self.now[t.name][0] == FAILED]
         self.power = {(t.name, link.component): link.power for t in tests for link in t.links}
-        self.gain = {(t.name, link.component): link.gain for t in tests for link in t.links}
+        self.own_gain = {(t.name, link.component): link.gain for t in tests for link in t.links}
         self.via = {(t.name, link.component): link.via or link.component for t in tests for link in t.links}
+        self.gain = {(test, name): self.own_gain[test, via] for (test, name), via in self.via.items()}
         self.sees = {t.name: {link.component for link in t.links} for t in tests}
         self.delay = {t.name: round(t.delay_s * 1e9) for t in tests}
         self.apart = []  # components that failed tests connect
@@ -56,7 +57,7 @@ class Oracle:
         )
 
     def diagnoses(self):
-        """Return each set all of whose members are needed, or but one that sizes ask for -> its probability."""
+        """Return each set whose members are needed, or asked for by what failed or by sizes -> its probability."""
         whole = {frozenset(): 0.0}
         for apart in self.apart:
             mine = Apart(self, [t for t in self.failed if self.sees[t.name] & apart]).weights()
@@ -64,6 +65,11 @@ class Oracle:
         top = max(whole.values())
         every = sum(math.exp(w - top) for w in whole.values())
         return {chosen: math.exp(w - top) / every for chosen, w in whole.items()}
+
+
+def likeliest(found):
+    ranked = sorted(found, key=lambda one: -found[one])[:16]
+    return [one for one in ranked if found[one] >= found[ranked[0]] - math.log(1e6)]
 
 
 class Apart:
@@ -128,20 +134,44 @@ class Apart:
         return total + math.log(self.chance(chosen))
 
     def rows(self, chosen):
-        """Return the tests that say something of the sizes of a set."""
+        """Return the tests that say something of the sizes of a set, and how likely another one disturbs each."""
         for t in self.o.tests:
             mine = self.o.sees[t.name] & chosen
-            if mine and all(self.is_sized(name) and self.o.signed(t, name) for name in mine):
-                fails = t in self.failed
-                if fails or all(self.counts(t, name) for name in mine):
-                    yield t, mine
+            signed = {name for name in mine if self.is_sized(name) and self.o.signed(t, name)}
+            if signed and (t in self.failed or all(self.counts(t, name) for name in signed)):
+                calm = math.prod(1 - self.o.power[t.name, name] for name in mine - signed)
+                yield t, signed, 1 - calm if mine - signed else None
 
     def chance(self, chosen):
+        rows = list(self.rows(chosen))
+        optional = self.optional(chosen) if len(chosen) > 1 else {}
+        disturb = [p for _, _, p in rows if p is not None]
+        quiet = [(t, {n for n in mine if (n, self.o.via[t.name, n]) not in optional}, p) for t, mine, p in rows]
+        none = self.misfit([row for row in quiet if row[1]])
+        used = {(n, self.o.via[t.name, n]) for t, mine, _ in rows for n in mine} & set(optional)
+        if not disturb and not used:
+            return none
+        price = math.prod(disturb) * math.prod(optional[one] for one in used)
+        return max(none, price * self.misfit([row for row in rows if row[2] is None]))
+
+    def optional(self, chosen):
+        """Return what each is seen by way of, if no failed test shows it alone -> how often it makes that wrong."""
+        shares = {}
+        for (test, name), via in self.o.via.items():
+            if name in chosen and via != name:
+                share = min(self.o.power[test, name] / self.o.power[test, via], 1.0)
+                shares[name, via] = max(shares.get((name, via), 0.0), share)
+        alone = {(n, self.o.via[t.name, n]) for t in self.failed for n in chosen if self.o.sees[t.name] & chosen == {n}}
+        return {one: share for one, share in shares.items() if one not in alone}
+
+    def misfit(self, told):
         from scipy.stats import chi2
 
-        sized = sorted(name for name in chosen if self.is_sized(name))
+        # each size is of a component, or of what it is seen by way of
+        sizes = sorted({(name, self.o.via[t.name, name]) for t, mine, _ in told for name in mine})
         rows = [
-            (t, [self.o.gain[t.name, name] if name in mine else 0.0 for name in sized]) for t, mine in self.rows(chosen)
+            (t, [self.o.gain[t.name, n] if n in mine and self.o.via[t.name, n] == way else 0.0 for n, way in sizes])
+            for t, mine, _ in told
         ]
         if not rows:
             return 1.0
@@ -174,18 +204,43 @@ class Apart:
         for mask in index[needed].tolist():
             yield frozenset(name for k, name in enumerate(self.blamed) if mask >> k & 1)
 
+    def asks_for(self, chosen):
+        """Return those with one of whom a set makes what failed likelier than that one costs, by powers alone."""
+
+        def fails(names):
+            escape = (math.prod(1 - self.o.power.get((t.name, n), 0.0) for n in names) for t in self.failed)
+            return sum(math.log(1 - (1 - t.false_alarm) * e) for t, e in zip(self.failed, escape, strict=True))
+
+        own = fails(chosen)
+        return [n for n in self.blamed if n not in chosen and fails(chosen | {n}) - own + self.of_component(n) > 0]
+
+    def larger(self, found):
+        """Return sets that are likelier than each with one part less; each has one of the likeliest in it."""
+        looked = likeliest(found)
+        known = dict(found)
+        for chosen in looked:
+            for name in self.asks_for(chosen) if len(looked) < 64 else []:
+                wider = chosen | {name}
+                if wider not in known:
+                    known[wider] = self.weight(wider)
+                    looked.append(wider)
+        less = {one: max(known.get(one - {n}, -math.inf) for n in one) for one in looked if one not in found}
+        return {one: known[one] for one in less if known[one] > less[one]}
+
     def weights(self):
         """Return each set -> its weight; of the likeliest ones the first whose sizes do not fit, with one more."""
         found = {chosen: self.weight(chosen) for chosen in self.needed()}
-        for chosen in sorted(found, key=lambda one: -found[one])[:16]:
+        found |= self.larger(found)
+        for chosen in likeliest(found):
             if self.chance(chosen) < 1e-3:
                 others = {n for t in self.o.failed if t not in self.failed for n in self.o.sees[t.name]}
-                tests = {t for name in chosen for t, _ in self.rows({name})}
-                near = {n for t in tests for n in self.o.sees[t.name] if not math.isnan(self.o.gain[t.name, n])}
+                tests = {t for name in chosen for t, *_ in self.rows({name})}
+                near = {n for t in tests for n in self.o.sees[t.name] if not math.isnan(self.o.own_gain[t.name, n])}
                 self.more = frozenset(near - others - chosen)
                 if self.more:
                     with_one = {chosen | {n}: self.weight(chosen | {n}) + math.log(0.1) for n in self.more}
-                    return {one: w for one, w in with_one.items() if w > found[chosen]} | found
+                    less = {one: max(found.get(one - {n}, -math.inf) for n in one) for one in with_one}
+                    return {one: w for one, w in with_one.items() if w > less[one]} | found
         return found
 
 

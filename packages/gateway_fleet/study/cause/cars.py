@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from cantools.database.can.signal import Signal
 
 from gateway.bus.logs import open_writer
@@ -23,6 +24,8 @@ from gateway_fleet.study.cause.drive import played
 
 #: Faults of a car begin and end [s].
 BEGIN_S, END_S = 20.0, 32.0
+#: What a message's frames show is seen within this time [ms], or not put in.
+_SOON_MS = 2000
 
 
 @dataclass(frozen=True)
@@ -51,13 +54,35 @@ class Injected:
     needs: frozenset[str] = frozenset()
 
     @property
+    def kind(self) -> str:
+        """The kind of it, as --inject has it."""
+        return self.text.partition(" ")[0]
+
+    @property
+    def target(self) -> str:
+        """Name of the message or signal that it is put into."""
+        return self.text.partition(" ")[2].partition("=")[0]
+
+    @property
+    def part(self) -> Truth:
+        """The component, as the way in which it fails has it: a message that repeats one payload is *frozen*."""
+        return frozenset({f"frozen {self.target}"}) if self.kind == "freeze" else self.truth
+
+    @property
     def of_frames(self) -> bool:
         """Whether it is one of a message's frames, not of a value."""
         return "=" not in self.text
 
     def hides(self, other: Injected) -> bool:
-        """Return whether it puts a signal out of its range without which another fault does not show."""
-        return self.text.startswith("value ") and self.text.split()[1].partition("=")[0] in other.needs
+        """Return whether another fault does not show beside it: of its message, or without a signal that it spoils."""
+        return (self.of_frames and self.target == other.target) or (self.kind == "value" and self.target in other.needs)
+
+    def drawn(self, rng: np.random.Generator) -> str:
+        """Return it as it is put in: an offset is up to half as large again."""
+        if self.kind != "offset":
+            return self.text
+        head, _, size = self.text.partition("=")
+        return f"{head}={float(size) * rng.uniform(1.0, 1.5):g}"
 
 
 def learned(folder: Path) -> list[Car]:
@@ -85,12 +110,18 @@ def injected(car: Car) -> Iterator[Injected]:
     name = bus["name"]
     database = load_database([car.config.parent / file for file in bus["database"]])
     sends = _sends(database, name)
+    watched = [one for monitor in config.get("monitor", ()) for one in monitor.get("signal", ())]
+    moving = {one["signal"].partition(".")[0] for one in watched if "stuck" in one}
     for check in bus.get("check", ()):
         message = check["message"]
-        if check.get("timeout_ms", 1e9) < 2000:
+        if check.get("timeout_ms", 1e9) < _SOON_MS:
             yield Injected(car, f"drop {message}", sends[message])
         if {"crc", "checksum", "e2e"} & set(check):
             yield Injected(car, f"flip {message}", sends[message])
+        if {"counter", "e2e"} & set(check) or message in moving:
+            yield Injected(car, f"freeze {message}", sends[message])
+        if check.get("most", {"ms": 1e9})["ms"] < _SOON_MS:
+            yield Injected(car, f"replay {message}", frozenset({f"second sender {name}.{message}"}))
     for monitor in config.get("monitor", ()):
         for one in monitor.get("signal", ()):
             if "plausible" in one and one["plausible"][0] >= -40 and one["plausible"][1] < 1000:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -57,7 +57,10 @@ def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Pat
         families[kind] = [row.verdict for row in told]
         for family, verdicts in families.items():
             if verdicts and (family != kind or len(apart) < len(told)):
-                console.print(_reliability(family, verdicts))
+                console.print(_reliability(family, verdicts, [1.0] * len(verdicts)))
+        rates = _rates(apart)
+        if any(rates):
+            console.print(_reliability(f"{kind}, each as often as its part fails", [r.verdict for r in apart], rates))
     return 0
 
 
@@ -83,21 +86,33 @@ def _table(kind: str, rows: Sequence[Row]) -> Table:
     return table
 
 
-def _reliability(kind: str, verdicts: Sequence[Verdict]) -> Table:
-    """Return how often what was told last is right, by the tenths of its probability; with Wilson's interval."""
+def _rates(rows: Sequence[Row]) -> list[float]:
+    """Return how often each run would be, where parts fail as often as their priors say."""
+    alike = Counter((row.plant, row.part) for row in rows)
+    return [row.rate / alike[row.plant, row.part] for row in rows]
+
+
+def _reliability(kind: str, verdicts: Sequence[Verdict], rates: Sequence[float]) -> Table:
+    """Return how often what was told last is right, by the tenths of its probability; with Wilson's interval.
+
+    Where runs count more or less, by their rates, the interval is of as many that count alike (Kish, "Survey sampling"
+    (1965), section 11.7).
+    """
     title = f"{kind}: is what was told last right as often as its probability says?"
     table = headed(title, ["told with"], ["runs", "mean", "right", "95 %"])
     edges = [*(k / 10 for k in range(10)), 0.99, 1.0]
     for low, high in itertools.pairwise(edges):
-        mine = [one for one in verdicts if low <= one.chance < high or one.chance == high == 1.0]
+        pairs = zip(verdicts, rates, strict=True)
+        mine = [(one, rate) for one, rate in pairs if low <= one.chance < high or one.chance == high == 1.0]
         if not mine:
             continue
-        n, share = len(mine), sum(one.right for one in mine) / len(mine)
+        every = sum(rate for _, rate in mine)
+        n, share = every**2 / sum(rate**2 for _, rate in mine), sum(one.right * rate for one, rate in mine) / every
         middle, z2 = share + _Z**2 / (2 * n), _Z**2
         apart = _Z * math.sqrt(share * (1.0 - share) / n + z2 / (4 * n * n))
         ends = (f"{(middle + sign * apart) / (1.0 + z2 / n):.1%}" for sign in (-1, 1))
-        mean = sum(one.chance for one in mine) / n
-        table.add_row(f"{low:g} to {high:g}", str(n), f"{mean:.1%}", f"{share:.1%}", " to ".join(ends))
+        mean = sum(one.chance * rate for one, rate in mine) / every
+        table.add_row(f"{low:g} to {high:g}", str(len(mine)), f"{mean:.1%}", f"{share:.1%}", " to ".join(ends))
     return table
 
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from gateway_bench import study_pool as pool
+from gateway_fdi.diagnosis.system import PRIORS
 from gateway_fleet.study.cause.cars import BEGIN_S, END_S, Car, Injected, injected
-from gateway_fleet.study.cause.cases import Fault, alike, drawn, faults, read
+from gateway_fleet.study.cause.cases import Fault, Truth, alike, drawn, faults, read
 from gateway_fleet.study.cause.drive import diagnoses, played, recorded
 from gateway_fleet.study.cause.judge import Verdict, judge
 
@@ -43,13 +44,23 @@ class Job:
 
 @dataclass(frozen=True)
 class Row:
-    """A run, and what came of it."""
+    """A run, and what came of it.
+
+    Attributes:
+        plant, name, seed: as the job has them.
+        seconds: how long it was.
+        verdict: what came of it.
+        part: the parts that one of is at fault, if one fault was put in.
+        rate: how often one of them is, by its prior.
+    """
 
     plant: str
     name: str
     seed: int
     seconds: float
     verdict: Verdict
+    part: str = ""
+    rate: float = 0.0
 
 
 def run(job: Job) -> list[Row]:
@@ -70,17 +81,26 @@ def run(job: Job) -> list[Row]:
     begin, end = min(one["from_s"] for one in entries), max(one["to_s"] for one in entries)
     told = diagnoses(*played(job.faults[0].base, entries, end, job.seed))
     same = alike(*job.faults) if len(job.faults) > 1 else ()
-    return [Row(job.plant, job.name, job.seed, end, judge(told, [f.truth for f in job.faults], begin, end, same))]
+    verdict = judge(told, [f.truth for f in job.faults], begin, end, same)
+    return [Row(job.plant, job.name, job.seed, end, verdict, *_part(job.faults[0].truth, len(job.faults)))]
+
+
+def _part(parts: Truth, count: int) -> tuple[str, float]:
+    """Return the parts of the fault of a run, and how often one of them fails; of two faults nothing."""
+    if count > 1:
+        return "", 0.0
+    return " or ".join(sorted(parts)), sum(PRIORS[name.rpartition(" ")[0]] for name in parts)
 
 
 def _of_car(job: Job, rng: np.random.Generator) -> Row:
     car = job.injected[0].car
     begin = round(BEGIN_S + rng.uniform(0.0, 2.0), 3)
-    texts = [f"{one.text} @{begin + 0.5 * k:.3f}..{END_S + 2.0:g}" for k, one in enumerate(job.injected)]
+    texts = [f"{one.drawn(rng)} @{begin + 0.5 * k:.3f}..{END_S + 2.0:g}" for k, one in enumerate(job.injected)]
     config, frames = recorded(car.log, car.config, texts, job.seed)
     frames = frames[frames["t_ns"] - frames["t_ns"][0] <= END_S * 1e9]
     told = diagnoses(config, frames)
-    return Row(job.plant, job.name, job.seed, END_S, judge(told, [one.truth for one in job.injected], begin, END_S))
+    verdict = judge(told, [one.truth for one in job.injected], begin, END_S)
+    return Row(job.plant, job.name, job.seed, END_S, verdict, *_part(job.injected[0].part, len(texts)))
 
 
 def singles(seeds: Sequence[int], cars: Sequence[Car]) -> Iterator[Job]:
