@@ -1,12 +1,15 @@
 """The runs of the study of the diagnosis: faults that a learned configuration can show, and pairs of them."""
 
+import numpy as np
 import pytest
 
 from gateway_fdi.errors import InputError
 from gateway_fleet.study.cause import drive
 from gateway_fleet.study.cause.cars import END_S, Car, Injected, injected
 from gateway_fleet.study.cause.cases import faults
-from gateway_fleet.study.cause.matrix import Job, pairs, run
+from gateway_fleet.study.cause.command import _rates
+from gateway_fleet.study.cause.judge import judge
+from gateway_fleet.study.cause.matrix import Job, Row, pairs, run
 
 DBC = """VERSION ""
 BU_: Brake Body
@@ -25,14 +28,14 @@ database = ["car.dbc"]
 check = [
     { message = "Speed", timeout_ms = 100.0, crc = { signal = "Full" } },
     { message = "Doors", timeout_ms = 1999.0 },
-    { message = "Lamps", timeout_ms = 2000.0 },
+    { message = "Lamps", timeout_ms = 2000.0, most = { frames = 8, ms = 900.0, cycle_ms = 150.0 } },
 ]
 [[monitor]]
 signal = [
     { signal = "Speed.Left", plausible = [100.0, 200.0] },
     { signal = "Speed.Full", plausible = [0.0, 255.0] },
     { signal = "Speed.Right", plausible = [0.0, 1000.0] },
-    { signal = "Doors.Warm", plausible = [-40.0, 100.0] },
+    { signal = "Doors.Warm", plausible = [-40.0, 100.0], stuck = { seconds = 3.0 } },
 ]
 rule = [{ holds = "Speed.Left == Speed.Right", tolerance = 0.5 }]
 """
@@ -41,6 +44,8 @@ FOUND = [
     ("drop Speed", {"message can0.Speed", "ecu can0.Brake"}),
     ("flip Speed", {"message can0.Speed", "ecu can0.Brake"}),
     ("drop Doors", {"message can0.Doors"}),
+    ("freeze Doors", {"message can0.Doors"}),
+    ("replay Lamps", {"second sender can0.Lamps"}),
     ("value Speed.Left=202", {"signal can0.Speed.Left"}),
     ("value Doors.Warm=102.8", {"signal can0.Doors.Warm"}),
     ("offset Speed.Left=1.25", {"signal can0.Speed.Left"}),
@@ -63,16 +68,39 @@ def test_faults_of_a_car_are_those_that_its_lines_can_show(tmp_path):
 
 def test_pairs_are_of_two_parts_and_each_has_a_seed_of_its_own(tmp_path):
     car = car_of(tmp_path)
-    made = list(pairs(40, 7, [car], ["no plant"]))
-    assert [job.seed for job in made] == list(range(7, 47))
-    assert made == list(pairs(40, 7, [car], ["no plant"]))
+    made = list(pairs(120, 7, [car], ["no plant"]))
+    assert [job.seed for job in made] == list(range(7, 127))
+    assert made == list(pairs(120, 7, [car], ["no plant"]))
     names = {tuple(sorted(one.text for one in job.injected)) for job in made}
-    of_frames = {("drop Doors", "drop Speed"), ("drop Doors", "flip Speed")}
+    speed, doors = ("drop Speed", "flip Speed"), ("drop Doors", "freeze Doors")
+    of_frames = {(*sorted((door, one)),) for door in doors for one in speed}
+    of_frames |= {(*sorted((one, "replay Lamps")),) for one in (*speed, *doors)}
     offsets, high = ("offset Speed.Left=1.25", "offset Speed.Right=1.25"), ("value Speed.Left=202",)
     of_values = {offsets} | {  # what is out of its range hides an offset beside it
         (*sorted((one, "value Doors.Warm=102.8")),) for one in (*offsets, *high)
     }
     assert names == of_frames | of_values
+
+
+def test_an_offset_is_drawn_and_all_else_is_put_in_as_it_is(tmp_path):
+    rng = np.random.default_rng(5)
+    for one in injected(car_of(tmp_path)):
+        text = one.drawn(rng)
+        if one.kind != "offset":
+            assert text == one.text
+        else:
+            size = float(text.partition("=")[2])
+            assert text.startswith(f"offset {one.target}=")
+            assert 1.25 <= size <= 1.5 * 1.25
+            assert size != 1.25
+
+
+def test_a_run_counts_as_often_as_its_part_fails():
+    """Two runs of one part share its rate; a message that stands is rarer than one that fails in any other way."""
+    verdict = judge((), (), 0.0, 1.0)
+    parts = [("message b.A", 3e-4), ("frozen b.A", 8e-5), ("message b.A", 3e-4), ("", 0.0)]
+    rows = [Row("car", "some", k, 1.0, verdict, part, rate) for k, (part, rate) in enumerate(parts)]
+    assert _rates(rows) == [1.5e-4, 8e-5, 1.5e-4, 0.0]
 
 
 def test_a_car_s_drive_is_judged_until_its_faults_end(tmp_path):

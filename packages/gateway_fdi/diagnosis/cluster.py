@@ -248,7 +248,8 @@ class Cluster:
         links = system.of_component[own]
         via = system.via[links]
         shares: dict[int, float] = {}
-        for way, share in zip(system.link_component[via].tolist(), system.power[links] / system.power[via], strict=True):
+        ways = system.link_component[via].tolist()
+        for way, share in zip(ways, system.power[links] / system.power[via], strict=True):
             if way != own:
                 shares[way] = max(shares.get(way, 0.0), min(float(share), 1.0))
         return shares

@@ -89,7 +89,8 @@ def _part(parts: Truth, count: int) -> tuple[str, float]:
     """Return the parts of the fault of a run, and how often one of them fails; of two faults nothing."""
     if count > 1:
         return "", 0.0
-    return " or ".join(sorted(parts)), sum(PRIORS[name.rpartition(" ")[0]] for name in parts)
+    rates = (rate for kind, rate in PRIORS.items() for name in parts if name.startswith(f"{kind} "))
+    return " or ".join(sorted(parts)), sum(rates)
 
 
 def _of_car(job: Job, rng: np.random.Generator) -> Row:
