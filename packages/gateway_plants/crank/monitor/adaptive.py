@@ -15,18 +15,16 @@ from gateway_plants.crank.monitor import anchor, defects, no_gap, noise, reversa
 from gateway_plants.crank.monitor.faults import Reports
 from gateway_plants.crank.monitor.isolation import decide, fall_noisy, lose
 from gateway_plants.crank.monitor.place_proof import hold_to_gap, prove
-from gateway_plants.crank.monitor.silence import broken_silence, fall_silent
+from gateway_plants.crank.monitor.silence import fall_silent, steady
 from gateway_plants.crank.monitor.sync_state import (
     CONFIRMED,
     SEARCHING,
     TENTATIVE,
     Const,
     State,
-    cover,
     doubt,
     laid,
     search,
-    uncover,
     unlearned,
     waver,
 )
@@ -35,7 +33,7 @@ from gateway_plants.crank.monitor.unproven import UNSEEN_PULSES, unwatched, wait
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.acquisition import restart, seek
 from gateway_plants.crank.pulse_tracking.branching import MOST_MISSED
-from gateway_plants.crank.pulse_tracking.hypotheses import HOPELESS, RING, Limits, Pulses, plain, short, take
+from gateway_plants.crank.pulse_tracking.hypotheses import HOPELESS, RING, Limits, Pulses, short, take
 from gateway_plants.crank.pulse_tracking.tracker import (
     agreed,
     begin,
@@ -94,6 +92,7 @@ def _pass_over(s: State, c: Const, number: int) -> None:
     anchor.skip(s.anchor, c.anchor.length, number)
     if s.phase == SEARCHING:
         restart(s.search)
+        s.held_fault = -1
     else:
         jump(s.tracker, c.pulses, number)
         s.revolutions += (s.index + number) // c.pulses
@@ -113,7 +112,6 @@ def recount(s: State, c: Const, number: int) -> None:
         s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
         doubt(s)
-        uncover(s, c)
         anchor.skip(s.anchor, c.anchor.length, c.pulses + anchor.EDGES)
         s.hole = 1
 
@@ -128,14 +126,6 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         y: interval [us].
         out: record of Out.
     """
-    if (
-        s.phase == CONFIRMED
-        and s.looks == 0
-        and 0 < s.index < c.pulses - 1
-        and s.profile.ended == 0
-        and _plain(s, c, y)
-    ):
-        return
     y = max(y, LEAST_US)
     s.teeth += 1
     _see(s, 1)
@@ -152,8 +142,6 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         reversal.tell(s.reversal, out, c.told == 1)
         search(s, c)
     if s.phase == SEARCHING:
-        if s.silent > 0:
-            broken_silence(s, y, out)
         _watch_noise(s, c, y)
         _seek(s, c, y)
     else:
@@ -251,45 +239,6 @@ def _see(s: State, number: int) -> None:
 
 
 @kernel
-def _plain(s: State, c: Const, y: float) -> bool:
-    """Take a pulse that the filter explains, not the gap's; returns whether it was one.
-
-    It is what is left where the filter has not come to its limit yet.
-    """
-    pr, tr, index = s.profile, s.tracker, int(s.index)
-    h = best(tr)
-    if s.reversal.index >= 0 or s.anchor.age > c.pulses or h.missed != 0 or h.added != 0:
-        return False
-    if y > c.longest_us * min(tr.pitches[index], 1.0) or y > (MOST_MISSED + 1) * h.period:
-        return False
-    if plain(tr, c.pulses, c.acceleration, y) < 0.0:
-        return False
-    s.teeth += 1
-    _see(s, 1)
-    anchor.note(s.anchor, c.anchor.length, y)
-    s.residuals[s.teeth & (RING - 1)] = tr.residual
-    profile.note(pr, index, y)
-    s.index = index + 1
-    s.since += 1
-    s.y2 = s.y1
-    s.y1 = y
-    if pr.turns > 0 and (h.period > pr.slow or h.period < pr.fast):
-        _follow(s, c, index)
-    return True
-
-
-@kernel
-def _follow(s: State, c: Const, behind: int) -> None:
-    """Bring the pitches to the speed of a tooth, the one behind the slot ``behind``; what is predicted stays."""
-    pr, tr = s.profile, s.tracker
-    old_behind, old_ahead = profile.smooth(pr, behind), profile.smooth(pr, behind + 1)
-    profile.follow(pr, c.wheel, best(tr).period, tr.pitches)
-    new_behind, new_ahead = profile.smooth(pr, behind), profile.smooth(pr, behind + 1)
-    if new_behind != old_behind or new_ahead != old_ahead:
-        transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead, _apart(c, behind, behind + 1))
-
-
-@kernel
 def _apart(c: Const, one: int, next_one: int) -> float:
     """Return the pitches from the middle of a slot to the middle of the next one."""
     return float(0.5 * (c.wheel.nominal[one] + c.wheel.nominal[next_one]))
@@ -318,6 +267,8 @@ def _watch_turning(s: State, c: Const, y: float) -> None:
     before = behind - 1 if behind > 0 else c.pulses - 1
     u2, u1, u = s.y2 / pitches[before], s.y1 / pitches[behind], y / pitches[s.index]
     crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST  # intervals of a burst are no engine's
+    if c.teeth >= anchor.FEW and reversal.slow(c.turn_us, s.y1, y):  # fewer are as far apart at any starter's speed
+        re.slow = 1
     stopping = not crowded and reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u, s.tracker.variance)
     if stopping or min(u, best(s.tracker).period) > c.slowest_us:
         reversal.begin(re, c.pulses, s.index, y)
@@ -332,6 +283,8 @@ def _seek(s: State, c: Const, y: float) -> None:
     if reversal.stopping(c.turn_us * c.gap, 1.0, s.y2, s.y1, y, s.tracker.variance):
         s.reversal.stood = 1
         restart(s.search)
+    if s.held_fault >= 0 and (s.reversal.stood == 1 or not steady(s, c, y)):
+        s.held_fault = -1
     se = s.search
     index = seek(se, c.logs, c.repeats, y)
     if index < 0 and c.gap > MARK and se.seen > c.pulses and se.seen % (c.pulses - 1) == 0:
@@ -345,7 +298,6 @@ def _seek(s: State, c: Const, y: float) -> None:
         s.since = 0
         s.suspects = 0
         s.recurring = 0
-        uncover(s, c)
         defects.clear(s.defects)
         s.profile.clean = 0
         s.profile.turn_us = 0.0
@@ -378,10 +330,7 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     old_behind = profile.smooth(s.profile, behind)
     old_ahead = profile.smooth(s.profile, s.index)
     profile.follow(s.profile, c.wheel, h.period, tr.pitches)
-    following = before + 1 if before + 1 < c.pulses else 0
     profile.note_pulse(s.profile, tr.pitches, c.pulses, before, s.index, h.associated == 1, y)
-    if s.phase == TENTATIVE and h.associated == 1 and s.index == following:
-        cover(s, c, before)
     first = best(tr)
     if first.associated == 1 and (first.missed != 0 or first.added != 0) and agreed(tr):
         s.index = first.index

@@ -17,10 +17,8 @@ from gateway_plants.crank.monitor.sync_state import (
     doubt,
     search,
     shape,
-    slow_since,
     speed,
     tooth_of,
-    uncover,
 )
 from gateway_plants.crank.pulse_tracking.hypotheses import HOPELESS
 from gateway_plants.crank.pulse_tracking.tracker import COARSE, best, expect, keep_best, marginalise_decided, unanimous
@@ -163,7 +161,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     crowd = added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST
     burst = crowd and noise.close(s.burst, c.firing_us)
     s.burst.known = 1 if s.phase == CONFIRMED and added >= noise.BURST else 0
-    slow = slow_since(s, c, s.tracker.took + 1)
+    slow = s.reversal.slow == 1
     late = s.tracker.took > min(LATE, c.pulses // 2)
     if s.phase == CONFIRMED and (late or slow or wrong_wheel.unsure(s, c)):
         doubt(s)
@@ -177,8 +175,6 @@ def decide(s: State, c: Const, out: Reports) -> None:
         s.search.seen = -(s.refused * (c.pulses // PARTS + 1) % c.pulses) if c.pulses >= anchor.FEW else 0
         return
     s.since = 0
-    if missed != added:
-        uncover(s, c)
     if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and missed != added and _beside_gap(c, tooth):
         # The place was a guess, and it is the gap that comes elsewhere: that is the place put right.
         s.suspects = 0

@@ -7,7 +7,6 @@ from gateway_fdi.jit import kernel
 from gateway_plants.crank import wheel_estimation
 from gateway_plants.crank.monitor import anchor, competing_hypothesis, defects, no_gap, runout, turns, wrong_wheel
 from gateway_plants.crank.monitor.faults import ADDED, RELOCATED, TWO_PLACES, Reports
-from gateway_plants.crank.monitor.reversal import STOPS
 from gateway_plants.crank.monitor.sync_state import (
     BY_CAM,
     CONFIRMED,
@@ -21,7 +20,6 @@ from gateway_plants.crank.monitor.sync_state import (
     laid,
     speed,
     tell_held,
-    uncover,
 )
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.tracker import COARSE, agreed, best, shift
@@ -97,6 +95,7 @@ def confirm(s: State, out: Reports) -> None:
     s.suspects = 0
     s.hole = 0
     s.reversal.stood = 0
+    s.reversal.slow = 0
     if s.held_fault >= 0:
         tell_held(s, s.held_fault, out)
         if s.held_fault == ADDED:
@@ -258,11 +257,12 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
     told = agreed(s.tracker) and h.missed == 0 and h.added == 0
     if told:
         s.sure = 1
+        s.reversal.slow = 0
     if s.phase != TENTATIVE or not told or not decides(s, c) or held_back(s, c) or _noisy(s, c):
         return
     if s.recurring == 1 and (s.twice == 1 or not _told_apart(s, c)):
         return
-    if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
+    if s.recurring == 0 and s.doubted == NEVER and _two_fit(s):
         return  # never proven: in what no frame brought may be another gap
     if s.hole == 1 and s.recurring == 0 and s.defects.turns == 0 and s.doubted < s.uneven > s.teeth - 2 * c.pulses:
         return  # a pulse too many in each turn may be in the gap
@@ -275,12 +275,11 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
 def relocate(s: State, c: Const, out: Reports, found: int) -> None:
     """Put the index right by a shift that the whole turn proves."""
     _move(s, c, found)
-    if s.phase == CONFIRMED and not wrong_wheel.unsure(s, c) and best(s.tracker).period < STOPS * c.turn_us:
+    if s.phase == CONFIRMED and not wrong_wheel.unsure(s, c) and s.reversal.slow == 0:
         off = found if 2 * found <= c.pulses else found - c.pulses
         e = report(out, RELOCATED, True, off, 0.0).relocated
         e.shift, e.tooth, e.speed = off, s.index, speed(s, c)
         s.corrections += off
     doubt(s)
     s.doubted = NEVER
-    uncover(s, c)
     s.held_fault = -1

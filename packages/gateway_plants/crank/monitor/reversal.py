@@ -31,6 +31,7 @@ class Reversal(Record):
     count: i4 = means("pulses since")
     slowest: f8 = means("slowest interval", "us")
     stood: u1 = means("1: the engine may have turned back, and the place was not proven since")
+    slow: u1 = means("1: an interval was long enough to turn back in, since the gap was seen where it is expected")
     total: i8 = means("reversals told")
 
 
@@ -74,6 +75,18 @@ def stopping(longest: float, span: float, u2: float, u1: float, u: float, varian
     jitter = grown(variance)
     steep = u > (STEEP + jitter) * u1 or u1 > (STEEP + jitter) * u2
     return bool(u > longest and steep and u >= u1 > (1.0 + GREW / span + jitter) * u2 and u2 > 0.0)
+
+
+@kernel
+def slow(longest: float, y1: float, y: float) -> bool:
+    """Tell whether an engine may have turned back in one of two intervals: long enough, as the other one nearly is.
+
+    Args:
+        longest: as in :func:`stopping`.
+        y1: the last interval but one [us].
+        y: the last one [us].
+    """
+    return max(y1, y) > longest and min(y1, y) > STOPS * longest
 
 
 @kernel

@@ -7,16 +7,16 @@ from gateway_plants.crank.monitor.faults import PULSES_LOST, Reports
 from gateway_plants.crank.monitor.sync_state import CONFIRMED, Const, State, search, shape, tell_held
 from gateway_plants.crank.pulse_tracking.tracker import best
 
-#: Teeth behind a silence among which one has to show the speed before, and within what factor that is the same.
-SILENT, SAME = 3, 1.5
+#: Within what factor the speed is the same.
+SAME = 1.5
 
 
 @kernel
 def fall_silent(s: State, c: Const, out: Reports, pitches: float) -> None:
     """Report a silence too long to count its teeth, and search.
 
-    An engine that was too slow can have come to rest in it; then it depends on the teeth that follow
-    (:func:`broken_silence`).
+    An engine that was slow enough can have come to rest in it, or have been thrown back: then it is held until a place
+    is proven behind it, at the speed before.
 
     Args:
         s: record of State.
@@ -36,23 +36,18 @@ def fall_silent(s: State, c: Const, out: Reports, pitches: float) -> None:
         shape(s, c, number, s.index + 1, s.held)
     search(s, c)
     if proven and period < c.turning_us:
-        _tell_silence(s, out)
+        s.missed += int(s.held.count)
+        s.losses += 1
+        tell_held(s, PULSES_LOST, out)
     elif proven:
-        s.silent_us = period
-        s.silent = SILENT
+        s.held_fault = PULSES_LOST
 
 
 @kernel
-def _tell_silence(s: State, out: Reports) -> None:
-    s.missed += int(s.held.count)
-    s.losses += 1
-    tell_held(s, PULSES_LOST, out)
-
-
-@kernel
-def broken_silence(s: State, y: float, out: Reports) -> None:
-    """Take a tooth soon after a silence: an engine that has its speed at once has not stood still in between."""
-    s.silent -= 1
-    if s.silent_us / SAME < y < SAME * s.silent_us:
-        s.silent = 0
-        _tell_silence(s, out)
+def steady(s: State, c: Const, y: float) -> bool:
+    """Tell whether an interval [us] behind a silence is one of the engine as fast as before it."""
+    period = 60e6 / (s.held.speed * c.turn)
+    least = c.gap
+    for k in range(c.pulses):
+        least = min(least, c.wheel.nominal[k])
+    return bool(least * period < SAME * y and y < SAME * c.gap * period)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.monitors.contract import report
-from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1, u1s
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1
 from gateway_plants.crank.monitor import anchor, candidate_wheels, competing_hypothesis, defects, no_gap, noise
 from gateway_plants.crank.monitor.faults import RESIDUALS, Reports, Shape
-from gateway_plants.crank.monitor.reversal import STOPS, Reversal
+from gateway_plants.crank.monitor.reversal import Reversal
 from gateway_plants.crank.monitor.runout import ALLOWED, ALLOWED_RPM, FIRING_RPM, Law
 from gateway_plants.crank.pulse_tracking.acquisition import Search, restart
 from gateway_plants.crank.pulse_tracking.hypotheses import RING
@@ -36,9 +36,10 @@ NEVER = -1_000_000
 #: Torsional ripple that an engine may have before it is learned (2 per revolution), and the error of the
 #: pitches at a gap [pitch].
 RIPPLE, GAP_ERROR = 0.05, 0.1
-#: Ripple that has to be followed while it is not learned: amplitude, at the speed [rpm] up to which it is so large (it
-#: falls with the square of the speed, down to RIPPLE), and order per revolution.
-UNLEARNED, UNLEARNED_RPM, UNLEARNED_ORDER = 0.08, 720.0, 3.0
+#: Ripple that has to be followed while it is not learned: amplitude at a speed [rpm] (it falls with the square of the
+#: speed, down to RIPPLE), and order per revolution. At a lower speed than so many times less it grows no more: to an
+#: amplitude of 0.18. More would follow a pulse missed or an engine that turned back as if it were ripple.
+UNLEARNED, UNLEARNED_RPM, UNLEARNED_ORDER, SLOWER = 0.08, 720.0, 3.0, 1.5
 #: An engine that stops brakes at most so many times harder than ``acceleration`` says. From a speed v [pitch/s] it
 #: comes to rest within v^2 / 2 a pitches: one that would need two pitches or more, turns on behind the next tooth.
 BRAKE = 4.0
@@ -123,11 +124,7 @@ class State(Record):
     recent_added: i8 = means("pulses added since the last clean turn, at other teeth than each turn")
     doubled: i8 = means("teeth of this turn with a second pulse")
     doubling: u1 = means("1: the last turn had many of these")
-    silent: i4 = means("teeth that may still tell whether a silence was one of the sensor")
-    silent_us: f8 = means("time of a pitch before that silence", "us")
     hole: i4 = means("1: frames were lost, and the gap was not seen since")
-    covered: Annotated[u1s, MOST_TEETH] = means("1: the slot of the pattern was seen at this place")
-    uncovered: i4 = means("slots that were not")
     twice: u1 = means("since the engine stood, 1: no gap was seen, 2: the pulses have fitted two places")
     burst: noise.Burst = means("pulses within one tooth")
     rival: competing_hypothesis.CompetingHypothesis = means("another place that explains missing teeth as well")
@@ -183,9 +180,9 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.ripple = RIPPLE * 2 * (wheel.turn / 2 if few else 2) * (2 * np.pi / wheel.turn)
     c.unlearned = _changes(UNLEARNED, UNLEARNED_ORDER, wheel)
     c.usual = _changes(RIPPLE, 2.0, wheel)
+    c.unlearned_us = 60e6 / (UNLEARNED_RPM * wheel.turn)
     c.rest = _changes(1.0, REST_ORDER, wheel)
     c.proof_us = 60e6 / proof_rpm(wheel)
-    c.unlearned_us = 60e6 / (UNLEARNED_RPM * wheel.turn)
     c.runout = runout
     c.slowest_us = 60e6 / (reversal_rpm * wheel.turn)
     c.turn_us = min(1e6 / np.sqrt(KICK * c.acceleration), c.slowest_us)
@@ -274,7 +271,7 @@ def decides(s: State, c: Const) -> bool:
 @kernel
 def unlearned(c: Const, period: float) -> float:
     """Return the process noise of the growth that ripple needs while it is not learned, at a pitch time [us]."""
-    share = min(period / c.unlearned_us, 3.5)
+    share = min(period / c.unlearned_us, SLOWER)
     return float(max(c.unlearned * share * share * share * share, c.usual))
 
 
@@ -304,7 +301,6 @@ def search(s: State, c: Const) -> None:
     s.recurring = 0
     defects.clear(s.defects)
     s.held_fault = -1
-    s.silent = 0
     s.recent_missed = 0
     s.recent_added = 0
     s.doubled = 0
@@ -317,37 +313,7 @@ def search(s: State, c: Const) -> None:
         s.tracker.slack[i] = c.slack[i]
     anchor.restart(s.anchor)
     restart(s.search)
-
-
-@kernel
-def uncover(s: State, c: Const) -> None:
-    """No slot was seen yet at the place, or since a fault."""
-    for i in range(c.repeats):
-        s.covered[i] = 0
-    s.uncovered = c.repeats
-
-
-@kernel
-def cover(s: State, c: Const, slot: int) -> None:
-    """Note that a slot was seen as it is at the place."""
-    s.uncovered -= 1 - s.covered[slot % c.repeats]
-    s.covered[slot % c.repeats] = 1
-
-
-@kernel
-def slow_since(s: State, c: Const, number: int) -> bool:
-    """Tell whether the engine may have turned back in one of the last intervals: slow enough, as one beside it is.
-
-    Nothing is told of a wheel of few pulses, whose intervals are as long at any speed of a starter.
-    """
-    if c.teeth < anchor.FEW:
-        return False
-    an, size = s.anchor, c.anchor.length
-    for k in range(1, min(number, size - 1) + 1):
-        before, behind = an.intervals[(an.at - k - 1) % size], an.intervals[(an.at - k + 1) % size] if k > 1 else 0.0
-        if an.intervals[(an.at - k) % size] > c.turn_us and max(before, behind) > STOPS * c.turn_us:
-            return True
-    return False
+    s.reversal.slow = 0
 
 
 @kernel
