@@ -98,7 +98,7 @@ BO_ 257 Torque: 8 Motor
 
 def torques(path, seed, pressed):
     """Write an idling engine whose requested torque is the least one, until the pedal is pressed."""
-    least = np.rint((41000.0 + 1500.0 * (road(seed, 800) - 12.0) / 6.0) / 4.0).astype(int).tolist()
+    least = np.rint((41000.0 + 300.0 * (road(seed, 800) - 12.0) / 6.0) / 4.0).astype(int).tolist()
     ask = [raw + 2700 * (pressed and k > 400) for k, raw in enumerate(least)]
     return drive(path, 40.0, [(257, 0.05, lambda k: struct.pack("<HHI", ask[k], least[k], 0), 0.0)])
 

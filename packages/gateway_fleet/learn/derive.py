@@ -91,9 +91,8 @@ def derive(
     speeds = [drives(observation, bus) for bus in range(len(buses))]
     shown = [_shown(everything, index, per_hour) for index in range(len(asked))]
     for key, seen in observation.seen.items():
-        names = taken.setdefault(key[0], set())
-        bus, drive = key[0], shown[key[0]]
-        learned.add(*limits.signal_lines(buses[bus], seen, found[key], seconds, names, drive, speeds[bus]))
+        bus, names = key[0], taken.setdefault(key[0], set())
+        learned.add(*limits.signal_lines(buses[bus], seen, found[key], seconds, names, shown[bus], speeds[bus]))
     learned.add(*rule_lines(observation, found, buses, shown[0]))
     learned.add(*grip_lines(observation, buses, speeds))
     learned.notes[:0] = strangers(observation, buses)

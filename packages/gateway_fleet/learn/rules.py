@@ -31,8 +31,6 @@ SHARE_PRODUCT = 0.2
 #: Outside of values seen the tolerance grows by this share of the distance, and this number of the slope's standard
 #: errors.
 GROWTH, ERRORS = 0.15, 4.0
-#: Values whose span is a smaller share of their size do not show that a law goes through zero.
-NARROW = 0.1
 #: A range that begins this near to nothing has no lower end.
 NEAR_NOTHING = 0.05
 #: Time that a relation must not hold [ms]; one between speeds, whose units are these: a wheel spins, or is braked to a
@@ -114,7 +112,7 @@ def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Buse
         f" movements agree to {relation.movement:.3f}"
     )
     keys = {"name": name, "holds": text, "tolerance": tolerance, "failed_ms": SLIP_MS if slips else FAILED_MS}
-    near = local or course.span < NARROW * high
+    near = local or course.narrow
     if near or relation.strict:
         room = FARTHEST * course.span
         own = [(of, (course.lowest - room, course.highest + room))] if near else []
