@@ -1,11 +1,19 @@
 """Limits that see: tails at a told rate, relations that hold outside of what was seen, signals that must move."""
 
+import struct
+
 import numpy as np
 import pytest
+from learning import asked, drive, quiet
 
+from gateway.bus.logs import LogReader
+from gateway.config.load import load_config
+from gateway_bench.wire.replay import through
 from gateway_fleet.learn.fits import delay_of, fitted
+from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.relations import SUM, TIMES, relations
 from gateway_fleet.learn.tails import Rate, block_maxima, limit_above, sustained
+from gateway_replay.channels import channels_of
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -76,3 +84,33 @@ def test_laws_of_three_signals(seed):
     effort = 0.02 * angle + rng.normal(0, 0.05, len(v))
     found = relations(np.column_stack([angle, angle + rng.normal(0, 0.01, len(v)), trip, effort]), [True] * 4)
     assert not [r for r in found if r.form == TIMES], f"seed {seed}"
+
+
+DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: Motor
+BO_ 257 Torque: 8 Motor
+ SG_ Request : 0|16@1+ (4,-131072) [-131072|131068] "Nm" Motor
+ SG_ Least : 16|16@1+ (4,-131072) [-131072|131068] "Nm" Motor
+"""
+
+
+def torques(path, seed, pressed):
+    """Write an idling engine whose requested torque is the least one, until the pedal is pressed."""
+    least = np.rint((41000.0 + 300.0 * (road(seed, 800) - 12.0) / 6.0) / 4.0).astype(int).tolist()
+    ask = [raw + 2700 * (pressed and k > 400) for k, raw in enumerate(least)]
+    return drive(path, 40.0, [(257, 0.05, lambda k: struct.pack("<HHI", ask[k], least[k], 0), 0.0)])
+
+
+def test_what_is_equal_while_an_engine_idles_may_part_when_the_pedal_is_pressed(tmp_path):
+    """Its values span a hundredth of their size: nothing says that one is the other times a factor."""
+    (tmp_path / "car.dbc").write_text(DBC)
+    log, out = torques(tmp_path / "idle.log", 41, pressed=False), tmp_path / "car.toml"
+    result = learn(asked(out, log, databases=(tmp_path / "car.dbc",)), quiet)
+    write(result.files(out))
+    config = load_config(out)
+    assert "_by_" in out.read_text(), "they are a relation"
+    log = torques(tmp_path / "pressed.log", 42, pressed=True)
+    said = through(config, list(LogReader(log, channels_of(config, ()))))
+    assert [name for _, name, failed in said.dtcs if failed] == []

@@ -67,6 +67,17 @@ def test_noise_about_one_value_says_nothing_of_where_it_goes(seed):
     assert found("Yaw", still / 100.0, step_s=1.0, every_s=1.0, rate=Rate(36.0, 2))[0] is not None, "ten minutes' rate"
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_level_of_one_drive_is_no_limit_of_another(seed):
+    """A race car's cell: 4.109 to 4.114 V in 190 s, through its span 15 times; 4.03 and 4.168 V in other drives."""
+    cell = 411.1 + swinging(seed, 600.0, 0.1, spread=0.5).round(2)
+    course = seen(cell)
+    assert course.ways >= SWINGS
+    assert found("Yaw", cell, step_s=0.1, every_s=0.1)[0] is None
+    assert "near one level" in waiting(SIGNALS["Yaw"], course, 600.0)
+    assert found("Yaw", cell - 411.1, step_s=0.1, every_s=0.1)[0] is not None, "about zero it shows how far it goes"
+
+
 def test_a_rate_that_the_drive_itself_shows_is_taken_from_it():
     """An alarm each 200 s: no limit for years of it, but the one that is exceeded as often."""
     values, more = swinging(5, 1800.0, 1.0), swinging(6, 36_000.0, 1.0)

@@ -17,7 +17,7 @@ from gateway.signals.protection.params import CHECKSUMS, ProtectionParams, prote
 from gateway.signals.protection.protection import Protection
 from gateway.signals.protection.rules import RULES
 from gateway_fdi.errors import InputError
-from gateway_fleet.learn.evidence import LEAST_EVIDENCE
+from gateway_fleet.learn.counters import LEAST_EVIDENCE
 from gateway_fleet.learn.protection_check import Payloads, judged
 
 #: Frames whose bits are turned, one at a time, to see what a rule covers.

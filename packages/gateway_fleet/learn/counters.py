@@ -11,8 +11,9 @@ from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
 from gateway.signals.protection.params import COUNTERS
-from gateway_fleet.learn.evidence import LEAST_EVIDENCE
 
+#: Chance explains a claim with a probability below one in 10^9: bits of evidence beyond those free to be chosen.
+LEAST_EVIDENCE = float(9.0 / np.log10(2.0))
 #: Longest counter that is looked for [bit].
 MOST_BITS = 32
 #: Largest loss that explains a step [frames]; it must agree with the time that passed to this number of cycles.

@@ -14,6 +14,8 @@ from gateway_fleet.learn.tails import wandering
 START_NS = 1_000_000_000
 #: Different values that are kept, to say whether a signal is a quantity or a state.
 MOST_VALUES = 24
+#: Values whose span is a smaller share of their size are those of one level: a cell's voltage at one charge.
+NARROW = 0.02
 
 
 @dataclass
@@ -51,6 +53,11 @@ class Course:
     def span(self) -> float:
         """From the lowest to the highest value."""
         return self.highest - self.lowest if self.count else 0.0
+
+    @property
+    def narrow(self) -> bool:
+        """Whether it stayed near one level: nothing shows where that is on another day, nor a law through zero."""
+        return self.span < NARROW * max(abs(self.lowest), abs(self.highest))
 
     @property
     def states(self) -> bool:

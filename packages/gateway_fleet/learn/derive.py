@@ -91,12 +91,10 @@ def derive(
     speeds = [drives(observation, bus) for bus in range(len(buses))]
     shown = [_shown(everything, index, per_hour) for index in range(len(asked))]
     for key, seen in observation.seen.items():
-        names = taken.setdefault(key[0], set())
-        bus, drive = key[0], shown[key[0]]
-        lines = limits.signal_lines(buses[bus], seen, found[key], seconds, names, drive, speeds[bus])
-        limits.add(learned, lines)
-    limits.add(learned, rule_lines(observation, found, buses, shown[0]))
-    limits.add(learned, grip_lines(observation, buses, speeds))
+        bus, names = key[0], taken.setdefault(key[0], set())
+        learned.add(*limits.signal_lines(buses[bus], seen, found[key], seconds, names, shown[bus], speeds[bus]))
+    learned.add(*rule_lines(observation, found, buses, shown[0]))
+    learned.add(*grip_lines(observation, buses, speeds))
     learned.notes[:0] = strangers(observation, buses)
     learned.notes += limits.notes_of(observation, buses, learned)
     _add_answers(learned, everything, asked, seconds, shown)
@@ -117,7 +115,7 @@ def _add_answers(
             answer_lines(learned, bus, seen, seconds, taken, shown[index])
         if mine:
             found = dict.fromkeys(mine, NOTHING)
-            limits.add(learned, rule_lines(replace(everything, seen=mine), found, {index: bus.name}, shown[index]))
+            learned.add(*rule_lines(replace(everything, seen=mine), found, {index: bus.name}, shown[index]))
 
 
 def _shown(observation: Observation, bus: int, per_hour: float) -> Shown:

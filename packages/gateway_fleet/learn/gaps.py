@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc
 
-from gateway_fleet.learn.evidence import LEAST_EVIDENCE
+from gateway_fleet.learn.counters import LEAST_EVIDENCE
 
 #: Gaps are counted in bins, each this much wider than the one before; the first is of 1 us.
 RATIO = 1.02

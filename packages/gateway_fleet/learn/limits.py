@@ -337,9 +337,3 @@ def _without_a_text(observation: Observation, bus: int, lines: Mapping[Any, Line
             ):
                 said.append(f"{message}.{signal.name} ({len(course.values)} of {len(texts)})")
     return sorted(said)
-
-
-def add(learned: Learned, lines: Sequence[Line]) -> None:
-    """Add lines."""
-    for line in lines:
-        learned.add(line)

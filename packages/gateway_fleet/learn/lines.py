@@ -61,9 +61,9 @@ class Learned:
     notes: list[str] = field(default_factory=list)
     findings: list[str] = field(default_factory=list)
 
-    def add(self, line: Line) -> None:
-        """Add a line."""
-        self.lines[line.place] = line
+    def add(self, *lines: Line) -> None:
+        """Add lines."""
+        self.lines |= {line.place: line for line in lines}
 
     def of(self, bus: str, table: str) -> list[Line]:
         """Return the lines of one table."""

@@ -22,7 +22,7 @@ from gateway_fleet.learn.lines import short, shown
 from gateway_fleet.learn.standards import Standard
 from gateway_fleet.learn.tails import Rate, block_maxima, limit_above
 
-#: Times the drive's length up to which noise about one value gives a limit: it does not say where a quantity goes.
+#: Times the drive's length up to which noise about one level gives a limit: it does not say where a quantity goes.
 KNOWN = 1000.0
 #: A value beyond counts where it lasts for this time [s], and comes twice.
 LASTS_S = 0.5
@@ -145,8 +145,9 @@ def _of_drive(
     if states or course.count < LEAST_VALUES:
         return nothing, ""
     wild = WILD * max(abs(course.lowest), abs(course.highest)) if signal.is_float else np.inf
-    ways = course.ways if drive.rate.hours > KNOWN * drive.hours else course.swings
-    if ways < SWINGS or drive.hours * 3600.0 < LEAST_S:
+    rare = drive.rate.hours > KNOWN * drive.hours
+    ways = course.ways if rare else course.swings
+    if ways < SWINGS or drive.hours * 3600.0 < LEAST_S or (rare and course.narrow):
         if not signal.is_float:
             return nothing, ""
         text = "its largest value ten times, as a number of its kind says nothing of a range"
@@ -181,4 +182,6 @@ def waiting(signal: Signal, course: Course, seconds: float) -> str:
     if course.ways < SWINGS:
         minutes = np.ceil(max(seconds, LEAST_S) * SWINGS / max(course.ways, 1) / 60.0)
         return f"{course.ways} of {SWINGS} ways through its span: about {minutes:.0f} min"
+    if course.narrow:
+        return "near one level: another drive may have another"
     return "its level still moves" if course.walk else ""

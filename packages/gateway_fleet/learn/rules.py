@@ -22,8 +22,9 @@ Buses = Mapping[int, str] | Sequence[str]
 #: Limit that lasting deviations exceed once in hundreds of hours -> tolerance: with this share of the largest value:
 #: tyres wear, a car is loaded, logs seldom show tight turns and slip.
 WIDER, SHARE = 1.2, 0.06
-#: Where no factor alone takes one to the other, it is the share of the span, and it is known to hold only where the
-#: others are as they were seen, and the signal itself not farther off than this number of its spans.
+#: Where no factor alone takes one to the other, it is the share of the span. There, and where the drive was narrow, it
+#: is known to hold only where the others are as they were seen, and the signal itself not farther off than this number
+#: of its spans.
 SHARE_OF_SPAN, FARTHEST = 0.12, 1.0
 #: A law with a product is true for small angles, and for slow movements: it gets more.
 SHARE_PRODUCT = 0.2
@@ -111,9 +112,10 @@ def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Buse
         f" movements agree to {relation.movement:.3f}"
     )
     keys = {"name": name, "holds": text, "tolerance": tolerance, "failed_ms": SLIP_MS if slips else FAILED_MS}
-    if local or relation.strict:
+    near = local or course.narrow
+    if near or relation.strict:
         room = FARTHEST * course.span
-        own = [(of, (course.lowest - room, course.highest + room))] if local else []
+        own = [(of, (course.lowest - room, course.highest + room))] if near else []
         keys["when"] = _when([*zip(by, relation.within, strict=True), *own])
     return Line(buses[seen.bus], RULE, name, keys, why)
 
