@@ -178,6 +178,9 @@ class PowerConfig(StrictModel):
     awake: tuple[ConditionSettings, ...] = Field(
         (), description="the vehicle is awake while one of these is met (terminal 15, a network awake): timeouts count"
     )
+    moving: tuple[ConditionSettings, ...] = Field(
+        (), description="the vehicle moves while one of these is met: then it is not being switched off"
+    )
     voltage: ConditionSettings | None = Field(
         None, description="the supply is good while this is met: only then do timeouts, and all that needs it, count"
     )
@@ -189,7 +192,7 @@ class PowerConfig(StrictModel):
     def _has_voltage(self) -> PowerConfig:
         if self.suffers and self.voltage is None:
             raise ValueError("suffers needs voltage")
-        if any(one.rise for one in (*self.awake, *(() if self.voltage is None else (self.voltage,)))):
+        if any(one.rise for one in (*self.awake, *self.moving, *(() if self.voltage is None else (self.voltage,)))):
             raise ValueError("rise is for operation cycles, not for power")
         return self
 

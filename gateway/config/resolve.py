@@ -22,7 +22,7 @@ from gateway.config.names import Names
 from gateway.config.reserved_ids import bus_instances
 from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.checks.communication import CheckInstance
-from gateway.engine.gate import AWAKE, SUPPLIED, Condition, CycleWatch, Gate
+from gateway.engine.gate import AWAKE, MOVING, SUPPLIED, Condition, CycleWatch, Gate
 from gateway.engine.instances import MonitorInstance
 from gateway.faults.settings import POWER, FaultOverride
 from gateway.monitors.conformance import checked_emission, checked_faults
@@ -465,9 +465,11 @@ def _powered(config: Config, names: Names, monitors: Sequence[MonitorInstance]) 
     """Return what the power must be for the test results of faults to count."""
     power, wrong = config.power, Gathered()
     awake: list[Condition] = []
-    for k, condition in enumerate(power.awake):
-        with wrong:
-            awake.append(names.condition(condition, f"power.awake[{k}]", AWAKE))
+    moving: list[Condition] = []
+    for some, key, counts, into in ((power.awake, "awake", AWAKE, awake), (power.moving, "moving", MOVING, moving)):
+        for k, condition in enumerate(some):
+            with wrong:
+                into.append(names.condition(condition, f"power.{key}[{k}]", counts))
     supplied: list[Condition] = []
     if power.voltage is not None:
         with wrong:
@@ -484,9 +486,9 @@ def _powered(config: Config, names: Names, monitors: Sequence[MonitorInstance]) 
     wrong.check()
     for bus in config.buses:
         silent = [f"{bus.name}.{check.message}.timeout" for check in bus.check if check.timeout_ms is not None]
-        for fault in (*silent, f"{bus.name}.bus_silent"):
-            found[fault] = (*awake, *supplied)
-    return found if awake or supplied else {}
+        found |= dict.fromkeys(silent, (*awake, *supplied))
+        found[f"{bus.name}.bus_silent"] = (*awake, *supplied, *moving)
+    return found if awake or supplied or moving else {}
 
 
 def _suffering(name: str, of_monitors: Mapping[str, set[str]], key: str) -> set[str]:

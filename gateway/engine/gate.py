@@ -24,14 +24,14 @@ from gateway_fdi.jit import Record, f8, i4, kernel, means, u1
 #: has come yet that says whether it goes on.
 OVER, OPEN, LEFT = range(3)
 #: How a condition counts: NOW: its message must be there; AWAKE, SUPPLIED: by the last value that came, none is met; of
-#: those that say AWAKE one must be met, of all others each.
-NOW, AWAKE, SUPPLIED = range(3)
+#: those that say AWAKE one must be met, of all others each. MOVING closes no gate: it is asked by :func:`moves`.
+NOW, AWAKE, SUPPLIED, MOVING = range(4)
 
 
 class ConditionRow(Record):
     """One enable condition."""
 
-    counts: u1 = means("NOW, AWAKE or SUPPLIED")
+    counts: u1 = means("NOW, AWAKE, SUPPLIED or MOVING")
 
     slot: i4 = means("mailbox slot of its signal")
     row: i4 = means("row of its message")
@@ -123,7 +123,7 @@ def sleeps(T: Any, d: Any) -> bool:
     asked = awake = False
     for k in range(d.first_condition, d.first_condition + d.conditions):
         c = T.conditions[k]
-        if c.counts == NOW:
+        if c.counts in (NOW, MOVING):
             continue
         value = T.mailbox[c.slot]
         met = isnan(value) or c.low <= value <= c.high
@@ -140,6 +140,16 @@ def said_awake(T: Any, d: Any) -> bool:
     for k in range(d.first_condition, d.first_condition + d.conditions):
         c = T.conditions[k]
         if c.counts == AWAKE and c.low <= T.mailbox[c.slot] <= c.high:
+            return True
+    return False
+
+
+@kernel
+def moves(T: Any, t_ns: int) -> bool:
+    """Return whether a signal says now that the vehicle moves."""
+    for k in range(T.conditions.shape[0]):
+        c = T.conditions[k]
+        if c.counts == MOVING and is_valid(T, t_ns, c.row) and c.low <= T.mailbox[c.slot] <= c.high:
             return True
     return False
 

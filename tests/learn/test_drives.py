@@ -1,6 +1,8 @@
 """``gateway evaluate drives``: vehicles of a folder, everyday faults, and the diagnosis that is told of them."""
 
 import json
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,13 +69,16 @@ def test_healthy_drives_of_made_cars_give_no_code(told):
 
 def test_faults_are_told_by_their_kinds(told):
     _, found = told
-    assert found["faults"]["ECU dead"] == {"tried": 2, "found": 2, "right": 2, "wrong": 0, "accused": 0}
+    row = {"tried": 2, "judged": 2, "found": 2, "right": 2}
+    assert found["faults"]["ECU dead"] == row | dict.fromkeys(("beyond", "beyond_found", "wrong", "accused"), 0)
+    by_senders = found["faults_by_senders"]
+    assert {of: rows["ECU dead"]["tried"] for of, rows in by_senders.items()} == {"named": 1, "unknown": 1}
     assert found["faults"]["second sender"]["found"] >= 1, "a message of 1 s that is learned for 40 s is not judged"
     assert found["faults"]["unknown identifier"]["found"] == 2
     assert found["faults"]["offset"]["tried"] == 1, "without a database there is no signal"
     assert set(found["faults"]) <= set(KINDS)
     lines = [line for drive in found["drives"] for line in drive["lines"]]
-    silent = sum(row["tried"] - row["found"] for row in found["faults"].values())
+    silent = sum(row["judged"] - row["found"] for row in found["faults"].values())
     assert len([line for line in lines if line[2].startswith("silent")]) >= silent > 0
 
 
@@ -158,3 +163,29 @@ def test_a_cause_is_wrong_if_any_part_of_it_is_well(drive):
     assert row({"its": now}, {(f"signal {name}.Z",): now}) == (True, False, False, False)
     assert row({"other": now}, {("bus can0",): now}) == (True, False, True, True)
     assert row({"its": now - 1}, {}) == (False, False, False, False), "it was there before"
+
+
+def test_a_fault_that_nothing_can_judge_is_not_silent(drive):
+    """It is over while the bus still wakes, or no limit watches; it is counted apart, and told or not."""
+    fault = KINDS["ECU dead"](drive())
+    told = Findings({"its": fault.begin_ns}, {}, {})
+
+    def row(fault, found, runs_ns):
+        counts, _ = _of_fault(fault, found, Findings({}, {}, {}), {}, runs_ns)
+        return counts.beyond, counts.beyond_found, counts.judged, counts.found
+
+    assert row(fault, told, fault.begin_ns) == (0, 0, 1, 1)
+    assert row(fault, Findings({}, {}, {}), fault.begin_ns) == (0, 0, 1, 0)
+    assert row(fault, told, fault.end_ns) == (1, 1, 0, 0)
+    assert row(replace(fault, needs_s=math.inf), Findings({}, {}, {}), 0) == (1, 0, 0, 0)
+
+
+def test_the_time_that_a_limit_needs_is_that_of_the_configuration(drive):
+    made = drive()
+    limits = {check.params.message: check.params for check in made._parts.checks}
+    sent = next(one for one in made.sent if limits[one.name].most)
+    limit = limits[sent.name]
+    assert made.needs_s("drop", [sent]) == pytest.approx(limit.timeout_ms * 1e-3)
+    assert made.needs_s("double", [sent]) == pytest.approx(limit.most.ms * 0.5e-3)
+    assert made.needs_s("flip", [sent]) == 0.0, "what sees it is not asked"
+    assert made.needs_s("drop", [replace(sent, name="Nobody")]) == math.inf

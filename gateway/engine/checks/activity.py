@@ -20,7 +20,7 @@ from gateway.engine.checks.communication import COMES, FIRST, MISSES, MISSING, N
 from gateway.engine.checks.kinds import TIMEOUT
 from gateway.engine.checks.software import ENOUGH, FIRST_NS, is_other
 from gateway.engine.events import ACTIVITY, LOSSY
-from gateway.engine.gate import said_awake
+from gateway.engine.gate import moves, said_awake
 from gateway.engine.results import announce
 from gateway.engine.timers import arm
 from gateway_fdi.jit import kernel
@@ -172,11 +172,16 @@ def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
         if not lossy and due - c.timeout_ns > h.stopped_ns + h.settle_ns:
             h.stopped_ns = due - c.timeout_ns
     until_ns = h.stopped_ns + h.settle_ns
-    settled = due >= until_ns and _are_many(T, due, c.bus, STOPPED, False)
-    if h.activity in (AWAKE, PART) and (settled or stopped_apart(T, due, c.bus) or other_falls(T, c.bus)):
+    many = _are_many(T, due, c.bus, STOPPED, False)
+    falls = (many and due >= until_ns) or stopped_apart(T, due, c.bus) or other_falls(T, c.bus)
+    if h.activity in (AWAKE, PART) and falls:
         _fall(T, due, c.bus)
+    elif h.activity == FALLING and not (falls or many or lossy):  # another that had stopped was only late
+        set_activity(T, due, c.bus, AWAKE)
     if h.activity == FALLING or (h.activity == ASLEEP and h.fell_ns > h.joined_ns):
         until_ns = h.fell_ns + _AFTER_RUN_NS
+        if moves(T, due) and not (many or lossy):
+            until_ns = c.overdue_ns + h.settle_ns  # those that are few, and do not come while it drives on
     elif _is_parked(T, due, c.bus):
         until_ns = due + h.settle_ns
     elif due < h.joined_ns + _WEIGHED_NS:

@@ -164,44 +164,12 @@ class CheckRun(Record):
 
 
 #: Fields that a frame of a run touches: two lines of the cache.
-_NEAR: tuple[str, ...] = (
-    "steady",
-    "counted",
-    "summed",
-    "seen",
-    "usual_length",
-    "usual_step",
-    "unread",
-    "timeout_ns",
-    "deadline_ns",
-)
-_NEAR += (
-    "wide_ns",
-    "first",
-    "silent_ns",
-    "losses",
-    "coming",
-    "parks",
-    "last_counter",
-    "gate_changes",
-    "run",
-    "run_since_ns",
-    "run_until_ns",
-    "stride",
-    "left",
-    "last_ns",
-    "blamed",
-    "protection",
-    "most_ns",
-    "slots",
-    "at",
-    "filled",
-    "crowded",
-    "wraps",
-    "stamps",
-    "one_ns",
-    "repeats",
-)
+_NEAR = (
+    "steady", "counted", "summed", "seen", "usual_length", "usual_step", "unread", "timeout_ns", "deadline_ns",
+    "wide_ns", "first", "silent_ns", "losses", "coming", "parks", "last_counter", "gate_changes", "run", "run_since_ns",
+    "run_until_ns", "stride", "left", "last_ns", "blamed", "protection", "most_ns", "slots", "at", "filled", "crowded",
+    "wraps", "stamps", "one_ns", "repeats",
+)  # fmt: skip
 
 
 class Check(CheckState, SenderState, CheckConst, SenderConst, CheckPlace, CheckRun, near=_NEAR):

@@ -24,7 +24,7 @@ from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound, joined, protection_found
 from gateway_fleet.learn.ranges import Shown, is_careful
 from gateway_fleet.learn.rules import rule_lines
-from gateway_fleet.learn.stuck_detection import drives
+from gateway_fleet.learn.stuck_detection import drives, motion
 from gateway_fleet.learn.tails import FALSE_PER_HOUR, Rate
 from gateway_fleet.learn.unknown import with_counter, with_signals
 
@@ -55,13 +55,7 @@ def derive(
     seconds = earlier_s + sum(log.seconds for log in observation.logs)
     taken: dict[int, set[str]] = {}
     buses = [bus.name for bus in asked if not bus.of_answers]
-    for bus, bus_asked in enumerate(asked):
-        if bus_asked.of_answers or "health" in bus_asked.keys:
-            continue
-        known = {can_id & ID_MASK for at, can_id in observation.foreign if at == bus and not of_a_tester(can_id)}
-        keys = {"sleeps": True, "unknown": "tell", "known": sorted(known)}
-        why = "it falls asleep, as any car's; identifiers that never came are told"
-        learned.add(Line(bus_asked.name, HEALTH, HEALTH, keys, why))
+    _add_health(learned, observation, asked)
     everything = observation
     heard = {key: seen for key, seen in observation.seen.items() if not asked[key[0]].of_answers}
     observation = replace(observation, seen=heard)
@@ -89,6 +83,7 @@ def derive(
         if not seen.unknown or set(line.keys) - {"message", "length"} or line.keys.get("length") is not False:
             learned.add(line)
     speeds = [drives(observation, bus) for bus in range(len(buses))]
+    learned.moving = motion(observation, buses, speeds)
     shown = [_shown(everything, index, per_hour) for index in range(len(asked))]
     for key, seen in observation.seen.items():
         bus, names = key[0], taken.setdefault(key[0], set())
@@ -102,6 +97,17 @@ def derive(
         absent_lines(learned, bus_asked)
     learned.notes += answer_notes(everything, asked)
     return learned
+
+
+def _add_health(learned: Learned, observation: Observation, asked: Sequence[BusAsked]) -> None:
+    """Add the health of each bus for which a person gives none."""
+    for bus, bus_asked in enumerate(asked):
+        if bus_asked.of_answers or "health" in bus_asked.keys:
+            continue
+        known = {can_id & ID_MASK for at, can_id in observation.foreign if at == bus and not of_a_tester(can_id)}
+        keys = {"sleeps": True, "unknown": "tell", "known": sorted(known)}
+        why = "it falls asleep, as any car's; identifiers that never came are told"
+        learned.add(Line(bus_asked.name, HEALTH, HEALTH, keys, why))
 
 
 def _add_answers(

@@ -58,6 +58,12 @@ class BusAsked:
         return self.name.startswith("answers:")
 
 
+_POWER = """
+# While it moves it is not being switched off: who stops then is at fault.
+[power]
+moving = {}
+"""
+
 _CAUSES = """
 # Of a signal that has a fault of its own no relation says any more.
 [fault]
@@ -122,6 +128,8 @@ def document(name: str, buses: Sequence[BusAsked], learned: Learned, logs: Seque
         for table in (SIGNAL, RULE):
             if learned.of(bus.name, table):
                 text += monitor_text(bus, table, buses, learned)
+    if learned.moving:
+        text += _POWER.format(inline(learned.moving))
     if made := causes(buses, learned):
         text += _CAUSES + "".join(f"{line.text()}\n" for line in made)
     if learned.notes:

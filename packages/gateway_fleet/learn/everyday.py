@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 from cantools.database.can.signal import Signal
@@ -23,6 +24,7 @@ from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter
 from gateway_fleet.learn.course import MOST_VALUES
 from gateway_fleet.learn.limits import texts_of
+from gateway_fleet.learn.stuck_detection import UNITS
 from gateway_replay.injection import Injection, Injector
 
 #: When a fault begins and ends, in shares of the drive; an ECU reboots, and a bus is away [s].
@@ -38,8 +40,8 @@ CYCLES, LOST = 3.0, 10
 OF_ECU, LEAST, WHEELS = 3, 20, 4
 #: Kinds that are told by the bus, or as a security event.
 AWAY, UNKNOWN = "bus away", "unknown identifier"
-#: Units of speed -> how much a km/h is.
-_KMH = {"km/h": 1.0, "kph": 1.0, "kmh": 1.0, "km/hour": 1.0, "m/s": 1 / 3.6, "mph": 1 / 1.609344}
+#: A km/h [m/s].
+_KMH = 1 / 3.6
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ class Fault:
         kind: one of KINDS.
         about: what it is put into, for people.
         frames: the drive with it.
-        begin_ns: when it begins.
+        begin_ns, end_ns: when it begins and ends.
+        needs_s: how long it has to last until a limit of the configuration is beyond [s]; infinite: it has none.
         right: components of which one is to be named.
         concerned: components, and messages with a dot behind them, that may be named beside it.
     """
@@ -59,6 +62,8 @@ class Fault:
     about: str
     frames: Frames
     begin_ns: int
+    end_ns: int
+    needs_s: float
     right: frozenset[str]
     concerned: frozenset[str]
 
@@ -211,13 +216,42 @@ class Drive:
         frames[places] = mine
         return frames
 
-    def fault(self, kind: str, about: str, frames: Frames, right: set[str], messages: list[_Sent]) -> Fault:
-        """Return a fault of messages, or of signals in them."""
+    def fault(
+        self,
+        kind: str,
+        about: str,
+        frames: Frames,
+        right: set[str],
+        messages: list[_Sent],
+        *,
+        lasts_s: float | None = None,
+        needs_s: float = 0.0,
+    ) -> Fault:
+        """Return a fault of messages, or of signals in them; ``lasts_s``: None: until END."""
+        lasts_s = (END - BEGIN) * self.seconds if lasts_s is None else lasts_s
         begin_ns = self.start_ns + round(BEGIN * self.seconds * 1e9)
         named = {f"{self.names[one.bus]}.{one.name}" for one in messages}
         senders = {s for one in messages for s in one.senders or (self._network.unnamed(one.bus).name,)}
         concerned = right | {f"message {name}" for name in named} | senders | {f"signal {name}." for name in named}
-        return Fault(kind, about, frames, begin_ns, frozenset(right), frozenset(concerned))
+        end_ns = begin_ns + round(lasts_s * 1e9)
+        return Fault(kind, about, frames, begin_ns, end_ns, needs_s, frozenset(right), frozenset(concerned))
+
+    def needs_s(self, kind: str, messages: list[_Sent]) -> float:
+        """Return how long a fault of messages has to last until a limit is beyond [s]; infinite: none watches.
+
+        A timeout is over, or frames that come twice as often fill a window in half of its time. Of a message that is
+        sent at a change, too, only those count that repeat a content, or its counter runs twice.
+        """
+        names = {(one.bus, one.name) for one in messages}
+        mine = [check.params for check in self._parts.checks if (check.bus, check.params.message) in names]
+        if kind == "drop":
+            times = [one.timeout_ms for one in mine]
+        elif kind in ("double", "replay"):
+            counted = [one for one in mine if one.most and (kind == "double" or one.counter or not one.most.repeats)]
+            times = [0.5 * one.most.ms for one in counted if one.most]
+        else:
+            return 0.0
+        return min((1e-3 * ms for ms in times if ms is not None), default=inf)
 
     def place(self, sent: _Sent, signal: str = "") -> str:
         """Return the name of a message or signal."""
@@ -242,7 +276,8 @@ def _frames(kind: str, name: str) -> Callable[[Drive], Fault | None]:
         frames = drive.with_([drive.injected(kind, sent)])
         beside = kind in ("double", "replay")
         right = {f"second sender {drive.place(sent)}"} if beside else drive.carriers(sent)
-        return drive.fault(name, drive.place(sent), frames, right, [sent])
+        needs_s = drive.needs_s(kind, [sent])
+        return drive.fault(name, drive.place(sent), frames, right, [sent], needs_s=needs_s)
 
     return make
 
@@ -276,7 +311,8 @@ def _ecu(name: str, lasts_s: float | None) -> Callable[[Drive], Fault | None]:
         parts = {f"message {drive.place(one)}" for one in mine}
         ecu = set(mine[0].senders) or drive.unnamed(mine[0])
         right = ecu if mine[0].senders and len(mine) > 1 else parts | ecu
-        return drive.fault(name, ", ".join(drive.place(one) for one in mine), drive.with_(drops), right, mine)
+        about, needs_s = ", ".join(drive.place(one) for one in mine), drive.needs_s("drop", mine)
+        return drive.fault(name, about, drive.with_(drops), right, mine, lasts_s=lasts_s, needs_s=needs_s)
 
     return make
 
@@ -288,7 +324,8 @@ def _away(drive: Drive) -> Fault | None:
     if not gone.any():
         return None
     mine = [one for one in drive.sent if one.bus == bus]
-    return drive.fault(AWAY, drive.names[bus], drive.frames[~gone], {f"bus {drive.names[bus]}"}, mine)
+    right = {f"bus {drive.names[bus]}"}
+    return drive.fault(AWAY, drive.names[bus], drive.frames[~gone], right, mine, lasts_s=AWAY_S)
 
 
 def _unknown(drive: Drive) -> Fault | None:
@@ -316,11 +353,11 @@ def _value(
 
 
 def _offset(signal: Signal, values: NDArray[np.float64], _seconds: float) -> float:
-    return SPEED_KMH * _KMH[str(signal.unit).lower()] if _is_speed(signal) else SHARE * float(np.ptp(values))
+    return SPEED_KMH * _KMH / UNITS[str(signal.unit).lower()] if _is_speed(signal) else SHARE * float(np.ptp(values))
 
 
 def _is_speed(signal: Signal) -> bool:
-    return str(signal.unit).lower() in _KMH
+    return str(signal.unit).lower() in UNITS
 
 
 def _wheel(drive: Drive) -> Fault | None:
@@ -332,7 +369,7 @@ def _wheel(drive: Drive) -> Fault | None:
     for some in alike.values():
         if len(some) >= WHEELS:
             sent, signal = some[0]
-            value = WHEEL_KMH * _KMH[str(signal.unit).lower()]
+            value = WHEEL_KMH * _KMH / UNITS[str(signal.unit).lower()]
             frames = drive.with_([drive.injected("offset", sent, signal.name, value)])
             name = drive.place(sent, signal.name)
             return drive.fault("wheel off", f"{name} {value:+.4g}", frames, {f"signal {name}"}, [sent])

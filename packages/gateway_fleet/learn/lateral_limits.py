@@ -14,14 +14,12 @@ import numpy as np
 
 from gateway_fleet.learn.lines import RULE, Line, inline, short, shown
 from gateway_fleet.learn.observe import Observation
-from gateway_fleet.learn.stuck_detection import Drives
+from gateway_fleet.learn.stuck_detection import UNITS, Drives
 
 #: Lateral acceleration [m/s2] and the largest product of steering ratio and wheelbase of cars and vans [m].
 GRIP, RATIO_BASE = 8.0, 55.0
 #: The bound is at least this multiple of the largest value seen.
 WIDER = 2.0
-#: Unit of a speed -> m/s.
-_SPEEDS = {"km/h": 1 / 3.6, "kph": 1 / 3.6, "kmh": 1 / 3.6, "km/hr": 1 / 3.6, "mph": 0.44704, "m/s": 1.0}
 _ANGLE = re.compile(r"STEER\w*(ANGLE|POS)|LENK\w*WINKEL|(ANGLE|SWA)\w*STEER|^SAS_Angle$|^SteeringAngle$", re.IGNORECASE)
 #: Other angles, rates, and requests of an assistant.
 _OTHER = re.compile(r"RATE|SPEED|REQ|CMD|CMND|TARGET|DESIRED|ZERO|OFFSET|FRACTION|MOTOR", re.IGNORECASE)
@@ -36,7 +34,7 @@ def grip_lines(observation: Observation, buses: Sequence[str], speeds: Sequence[
     stamps, matrix = observation.snapshots.stamps(), observation.snapshots.matrix()
     lines = []
     for (bus, name), seen in observation.seen.items():
-        speed = next((each for each in speeds[bus] if each.unit in _SPEEDS and each.message != name), None)
+        speed = next((each for each in speeds[bus] if each.unit in UNITS and each.message != name), None)
         if speed is None:
             continue
         fast = speed.at(stamps)
@@ -50,7 +48,7 @@ def grip_lines(observation: Observation, buses: Sequence[str], speeds: Sequence[
                 continue
             turned = np.abs(matrix[:, seen.columns.start + k]) * fast**2
             turned = turned[~np.isnan(turned)]
-            bound = np.degrees(GRIP * RATIO_BASE) / _SPEEDS[speed.unit] ** 2
+            bound = np.degrees(GRIP * RATIO_BASE) / UNITS[speed.unit] ** 2
             course = seen.courses.each[k]
             farthest = max(-course.lowest, course.highest)
             if len(turned) < LEAST_ROWS or turned.max() == 0.0 or course.changes == 0 or farthest > TURNS:

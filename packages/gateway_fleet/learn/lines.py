@@ -55,11 +55,13 @@ class Learned:
         lines: by their places, in the order of the file.
         notes: things left out, and why; one line each.
         findings: what looks like a fault of the logs that were learned from; one line each.
+        moving: conditions that say that the vehicle moves.
     """
 
     lines: dict[tuple[str, str, str], Line] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     findings: list[str] = field(default_factory=list)
+    moving: list[dict[str, Any]] = field(default_factory=list)
 
     def add(self, *lines: Line) -> None:
         """Add lines."""

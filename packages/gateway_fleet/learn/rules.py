@@ -15,6 +15,7 @@ from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound
 from gateway_fleet.learn.ranges import Shown
 from gateway_fleet.learn.relations import LASTS_S, LEAST_VALUES, ONE, TIMES, Relation, relations
+from gateway_fleet.learn.stuck_detection import UNITS
 from gateway_fleet.learn.tails import Rate
 
 #: Index of a bus -> its name.
@@ -33,10 +34,8 @@ SHARE_PRODUCT = 0.2
 GROWTH, ERRORS = 0.15, 4.0
 #: A range that begins this near to nothing has no lower end.
 NEAR_NOTHING = 0.05
-#: Time that a relation must not hold [ms]; one between speeds, whose units are these: a wheel spins, or is braked to a
-#: stop, that long on ice.
+#: Time that a relation must not hold [ms]; one between speeds: a wheel spins, or is braked to a stop, that long on ice.
 FAILED_MS, SLIP_MS = 1000.0, 2500.0
-SPEEDS = frozenset({"km/h", "kph", "kmh", "km/hour", "m/s", "mph"})
 
 
 def rule_lines(
@@ -86,7 +85,7 @@ def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Buse
     elif relation.delay_s < 0.0:
         of = f"delay({of}, {inline(round(-1e3 * relation.delay_s))})"
     right = _together(relation, by)
-    slips = {unit.lower() for unit in units} <= SPEEDS and bool(units)
+    slips = {unit.lower() for unit in units} <= UNITS.keys() and bool(units)
     slope, offset = short(relation.slope), short(relation.offset)
     side = right if slope == 1.0 else f"{inline(slope)} * {right}"
     # The error by rounding the numbers, at the ends of the values seen, is part of the deviation.

@@ -35,12 +35,17 @@ LONGER, TWICE = (1, 3), 0.46
 FROM_ZERO, SEEN_S, ALWAYS = 0.2, 30.0, 0.95
 #: The car is not taken to stand above this share of its usual speed.
 DRIVES = 0.25
-#: Units and names of a car's speed, and words of other speeds.
-UNITS = frozenset({"km/h", "kph", "kmh", "mph", "m/s", "kilometer per hour", "km/hr"})
+#: Unit of a speed -> m/s; names of a car's speed, and words of other speeds.
+UNITS = {"mph": 0.44704, "m/s": 1.0} | dict.fromkeys(
+    ("km/h", "kph", "kmh", "km/hr", "km/hour", "kilometer per hour"), 1 / 3.6
+)
 NAMES, OTHERS = (
     ("SPEED", "VELOC", "GESCHW", "VEH_V"),
     ("ENG", "FAN", "WIND", "WIPER", "SET", "LIMIT", "TURB", "MOT", "RATE"),
 )
+#: A car that is this fast is not being switched off [m/s]. Its speed is what two messages agree about: to this [m/s]
+#: and share of it, in all but this share of the rows, of which there are some. They have to change by a share.
+MOVES, APART, APART_SHARE, BUT, ROWS, CHANGES = 2.0, 0.5, 0.05, 0.05, 40, 0.1
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,24 @@ def drives(observation: Observation, bus: int) -> list[Drives]:
             made = Drives(f"{name}.{signal.name}", name, unit, _at(stamps, column), course.lowest, course.highest)
             found.append((rank, len(found), made))
     return [made for _, _, made in sorted(found, key=lambda each: each[:2])]
+
+
+def motion(observation: Observation, buses: Sequence[str], speeds: Sequence[Sequence[Drives]]) -> list[dict[str, Any]]:
+    """Return conditions of which one is met while the car moves: a speed of two messages that say the same; or none."""
+    stamps = observation.snapshots.stamps()
+    known = [(f"{buses[bus]}.{one.name}", one) for bus, some in enumerate(speeds) for one in some if one.unit in UNITS]
+    for k, (name, one) in enumerate(known):
+        mine = one.at(stamps) * UNITS[one.unit]
+        for other_name, other in known[k + 1 :]:
+            theirs = other.at(stamps) * UNITS[other.unit]
+            good = (np.fmax(mine, theirs) >= MOVES) & ~np.isnan(mine + theirs)
+            if other.message == one.message or good.sum() < ROWS or np.ptp(mine[good]) < CHANGES * mine[good].max():
+                continue
+            apart = np.abs(mine - theirs)[good] > APART + APART_SHARE * np.fmax(mine, theirs)[good]
+            if apart.mean() <= BUT:
+                both = (name, one), (other_name, other)
+                return [{"signal": full, "min": short(MOVES / UNITS[each.unit])} for full, each in both]
+    return []
 
 
 def _says_speed(signal: Signal) -> bool:

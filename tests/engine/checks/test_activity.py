@@ -223,6 +223,39 @@ def test_some_ecus_are_switched_off_and_others_run_on(tmp_path, name, seed):
     assert activities(events) == [("running", "falling asleep")]
 
 
+@pytest.mark.parametrize(("speed", "found"), [(50, True), (2, False)], ids=["it drives on", "it stands"])
+def test_two_that_stop_apart_are_switched_off_only_where_the_vehicle_may_be(tmp_path, speed, found):
+    """Half a second apart, as in an after-run: while the vehicle moves it has none."""
+    power = '[power]\nmoving = [{ signal = "M120.Value", min = 7 }]'
+    until_s = {0x110: 8.0, 0x130: 8.5}
+    frames = traffic(
+        NETWORK, random.Random(5), 20, lambda b, e, i, t: t < until_s.get(i, 40.0), lambda can_id, t_s: speed
+    )
+    codes, _, events = run(config_of(tmp_path, power=power), frames, 20)
+    assert codes == ({"drive.M110.timeout", "drive.M130.timeout"} if found else set())
+    assert activities(events)[0] == ("running", "falling asleep")
+    if found:
+        first = min(e["t_ns"] for e in events if e["event"] == "dtc" and e["status"] & 1) * 1e-9
+        assert first == pytest.approx(11.1, abs=0.2), "when the bus has settled"
+        assert activities(events)[1:] == [("falling asleep", "running")]
+    frames = frames[(frames["can_id"] != 0x120) | (frames["t_ns"] < 9e9)]
+    assert run(config_of(tmp_path, power=power), frames, 20)[0] == set(), "nobody says any more that it moves"
+
+
+def test_an_ecu_that_dies_while_another_message_is_late_is_told(tmp_path):
+    """That looked like two that stop apart, and the ECU was silent for 5 minutes; it comes again, and did not stop."""
+    frames = traffic(
+        NETWORK,
+        random.Random(9),
+        20,
+        lambda b, e, i, t: not (i == 0x140 and 8.0 < t < 9.5) and (e != "Gears" or t < 9.2),
+    )
+    codes, told, events = run(networks.config_of(tmp_path, NETWORK, 10.0, health=SLEEPS), frames, 20)
+    assert activities(events) == [("running", "falling asleep"), ("falling asleep", "running")]
+    assert codes == {"drive.M110.timeout", "drive.M111.timeout"}
+    assert causes(told) == {("ecu drive.Gears",)}
+
+
 @pytest.mark.evidence("Healthy parts: lost frames")
 def test_a_bus_of_one_sender_waits_while_the_recorder_pauses(tmp_path):
     """It cannot tell that from a sender that is missing; its other bus can."""

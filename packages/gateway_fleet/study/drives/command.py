@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from gateway.cli.present import print_json, say, table_of, wide_console
 from gateway.cli.progress import LogsDone
 from gateway.common.extras import need
-from gateway_fleet.study.drives.judge import SHORTEST_S, Judged, Judging, Points, Row, Task
+from gateway_fleet.study.drives.judge import SENDERS, SHORTEST_S, Judged, Judging, Points, Row, Task
 from gateway_fleet.study.drives.tables import columns_of
 from gateway_fleet.study.drives.vehicles import Learned, Learning, vehicles
 from gateway_replay.pool import Pool, Work, Workers, default_workers
@@ -69,12 +69,11 @@ class Study:
             total.add(one.points or Points())
         return total
 
-    @property
-    def kinds(self) -> dict[str, Row]:
-        """Kind of a fault -> what came of all of it."""
+    def kinds(self, *senders: str) -> dict[str, Row]:
+        """Return kind of a fault -> what came of all of it, in vehicles whose databases name ``senders`` or do not."""
         total: dict[str, Row] = {}
         for drive in self.faulty:
-            for kind, row in drive.faults.items():
+            for kind, row in drive.faults.items() if drive.senders in senders else ():
                 total.setdefault(kind, Row()).add(row)
         return total
 
@@ -163,7 +162,8 @@ def _data(study: Study) -> dict[str, Any]:
         "false_codes": len(study.codes),
         "false_causes": len(study.causes),
         "false_kinds": _by_kind(study.codes),
-        "faults": {kind: asdict(row) for kind, row in study.kinds.items()},
+        "faults": _rows(study.kinds(*SENDERS)),
+        "faults_by_senders": {of: _rows(study.kinds(of)) for of in SENDERS},
         "points": asdict(study.points),
         "errors": study.errors,
         "vehicles": [
@@ -172,6 +172,10 @@ def _data(study: Study) -> dict[str, Any]:
         ],
         "drives": [asdict(one) | {"drive": str(one.drive)} for one in (*study.healthy, *study.faulty)],
     }
+
+
+def _rows(kinds: Mapping[str, Row]) -> dict[str, Any]:
+    return {kind: asdict(row) | {"judged": row.judged} for kind, row in kinds.items()}
 
 
 def _print(study: Study) -> None:
@@ -184,12 +188,15 @@ def _print(study: Study) -> None:
         cells = ("-", "-", "-") if one.error else lengths
         table.add_row(one.vehicle, *cells, _counted(codes), _counted(causes))
     wide_console().print(table)
-    if study.kinds:
-        table = table_of("fault", "tried", "found", "silent", "cause right", "wrong", "code of a healthy part")
-        for kind, row in study.kinds.items():
-            numbers = (row.tried, row.found, row.tried - row.found, row.right, row.wrong, row.accused)
-            table.add_row(kind, *map(str, numbers))
-        wide_console().print(table)
+    heads = "tried", "not judged here", "judged", "found", "silent", "cause right", "wrong", "code of a healthy part"
+    for of in SENDERS:
+        table = table_of(f"fault, senders {of}", *heads)
+        for kind, row in study.kinds(of).items():
+            beyond = f"{row.beyond}, {row.beyond_found} found"
+            numbers = (row.judged, row.found, row.judged - row.found, row.right, row.wrong, row.accused)
+            table.add_row(kind, str(row.tried), beyond, *map(str, numbers))
+        if table.row_count:
+            wide_console().print(table)
     if (points := study.points).wrong:
         print(
             f"tables: {points.found} of {points.wrong} rows found ({points.found / points.wrong:.3f}),"

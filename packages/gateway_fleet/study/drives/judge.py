@@ -15,7 +15,9 @@ from gateway.bus.frames import Frames
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.engine.checks.bus_health import ACTIVITIES, ASLEEP
+from gateway.engine.checks.software import FIRST_NS
 from gateway.faults.status import Status
+from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 from gateway_fdi.common.log import to_stderr
 from gateway_fdi.errors import GatewayError
@@ -26,6 +28,10 @@ from gateway_replay.log import Log
 
 #: Longest part of a drive that a fault is put into [s], and the shortest.
 LONGEST_S, SHORTEST_S = 60.0, 6.0
+#: How often it is looked whether a bus runs [ns].
+_LOOK_NS = 250_000_000
+#: Whether a database names them.
+SENDERS = ("named", "unknown")
 #: Events of a frame that nobody of the car sends.
 _UNKNOWN = ("unknown", "wrong_bus")
 
@@ -62,17 +68,26 @@ class Row(Counts):
 
     Attributes:
         tried: faults.
-        found: of these, those that a code, or a security event, told.
-        right: a component that is at fault was told as the cause, and none that is well.
-        wrong: a component that is well was told as the cause.
-        accused: a code was set that sees nothing of what is at fault.
+        beyond: of these, those that nothing can judge there: over while the bus still wakes, or no limit watches.
+        beyond_found: of those, all the same told.
+        found: of the others, those that a code, or a security event, told.
+        right: of the others, a component that is at fault was told as the cause, and none that is well.
+        wrong: a component that is well was told as the cause, of any.
+        accused: a code was set that sees nothing of what is at fault, of any.
     """
 
     tried: int = 0
+    beyond: int = 0
+    beyond_found: int = 0
     found: int = 0
     right: int = 0
     wrong: int = 0
     accused: int = 0
+
+    @property
+    def judged(self) -> int:
+        """Number of faults that can be judged."""
+        return self.tried - self.beyond
 
 
 @dataclass
@@ -101,6 +116,7 @@ class Judged:
         codes: false ones, of the healthy drive.
         causes: false ones, likewise.
         faults: kind -> what came of its faults.
+        senders: of SENDERS.
         lines: of faults that were silent, or blamed what is well: kind, what, what was told.
         points: rows of a table with a truth, told or not.
         error: why it could not be judged; "": it was.
@@ -112,6 +128,7 @@ class Judged:
     codes: list[str] = field(default_factory=list)
     causes: list[str] = field(default_factory=list)
     faults: dict[str, Row] = field(default_factory=dict)
+    senders: str = SENDERS[-1]
     lines: list[tuple[str, str, str]] = field(default_factory=list)
     points: Points | None = None
     error: str = ""
@@ -177,14 +194,16 @@ def _judge(task: Task, judged: Judged) -> None:
         judged.causes = sorted(" and ".join(cause) for cause in whole.causes)
         return
     part = frames[: int(np.searchsorted(stamps, stamps[0] + round(LONGEST_S * 1e9)))]
-    healthy = findings_of(config, part)
+    healthy, runs_ns = findings_of(config, part), _runs_ns(config, part)
     sees = {fault: {one.component.name for one in some} for fault, some in parts.depends.items()}
     for number, (kind, make) in enumerate(KINDS.items()):
-        fault = make(Drive(config, parts, part, np.random.default_rng([task.seed, number])))
+        drive = Drive(config, parts, part, np.random.default_rng([task.seed, number]))
+        judged.senders = SENDERS[not any(one.senders for one in drive.sent)]
+        fault = make(drive)
         if fault is not None:
-            row, text = _of_fault(fault, findings_of(config, fault.frames), healthy, sees)
+            row, text = _of_fault(fault, findings_of(config, fault.frames), healthy, sees, runs_ns)
             judged.faults.setdefault(kind, Row()).add(row)
-            if not row.right or row.wrong or row.accused:
+            if row.right < row.judged or row.wrong or row.accused:
                 judged.lines.append((kind, fault.about, text))
 
 
@@ -226,8 +245,29 @@ def _proven(groups: Iterable[Mapping[str, Any]]) -> Iterable[tuple[str, ...]]:
     return (tuple(sorted(group["cause"])) for group in groups if group["cause"])
 
 
-def _of_fault(fault: Fault, told: Findings, healthy: Findings, sees: Mapping[str, set[str]]) -> tuple[Row, str]:
-    """Return what came of a fault, and what was told of it, for people."""
+def _runs_ns(config: Config, frames: Frames) -> int:
+    """Return when all buses run that are heard: until then each start has its time."""
+    gateway, at = Gateway(config), 0
+    start_ns, end_ns = int(frames["t_ns"][0]), int(frames["t_ns"][-1])
+    gateway.start(start_ns)
+    heard = np.unique(frames["bus"])
+    for now_ns in range(start_ns + _LOOK_NS, end_ns, _LOOK_NS):
+        until = int(np.searchsorted(frames["t_ns"], now_ns))
+        gateway.feed(frames[at:until])
+        gateway.advance(now_ns)
+        at = until
+        health = gateway.engine.tables.health[heard]
+        if health["begun"].all() and now_ns >= health["joined_ns"].max() + FIRST_NS:
+            end_ns = now_ns
+            break
+    gateway.close()
+    return end_ns
+
+
+def _of_fault(
+    fault: Fault, told: Findings, healthy: Findings, sees: Mapping[str, set[str]], runs_ns: int = 0
+) -> tuple[Row, str]:
+    """Return what came of a fault, and what was told of it, for people; ``runs_ns``: since when the buses run."""
 
     def new(now: Mapping[Name, int], before: Mapping[Name, int]) -> list[Name]:
         return [one for one, t_ns in now.items() if one not in before and t_ns >= fault.begin_ns]
@@ -241,10 +281,14 @@ def _of_fault(fault: Fault, told: Findings, healthy: Findings, sees: Mapping[str
 
     named = {name for cause in causes for name in cause}
     accused = [name for name in codes if all(well(one) for one in sees.get(name, ()))]
+    found = bool(codes) or (bool(events) and not fault.of_message)
+    judged = fault.end_ns - max(fault.begin_ns, runs_ns) > fault.needs_s * 1e9
     row = Row(
         tried=1,
-        found=bool(codes) or (bool(events) and not fault.of_message),
-        right=bool(named & fault.right) and not any(well(name) for name in named),
+        beyond=not judged,
+        beyond_found=found and not judged,
+        found=found and judged,
+        right=judged and bool(named & fault.right) and not any(well(name) for name in named),
         wrong=any(well(name) for name in named),
         accused=bool(accused),
     )
