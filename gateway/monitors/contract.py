@@ -313,6 +313,7 @@ class Fault:
         remedy: what to do about it, for people; "": as for any fault of its failure type.
         tested: name of ``result.value`` and ``result.threshold`` for people, with their unit as in evidence:
             ``"pulse away from its place [pitch]"``; "": not said.
+        window_s: time of values that one result is of [s].
     """
 
     name: str
@@ -322,6 +323,7 @@ class Fault:
     debounce: Debounce = field(default_factory=Debounce)
     remedy: str = ""
     tested: str = ""
+    window_s: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -399,4 +399,5 @@ def _test(slot: FaultSlot, depends: Sequence[Seen], delay_s: float | None, exact
     debounce = slot.fault.debounce
     if delay_s is None:
         delay_s = DELAY_S if debounce.failed_ms is None else max(2.0 * debounce.failed_ms * 1e-3, 1.0)
+        delay_s += slot.fault.window_s
     return Test(slot.id, _links(depends), EXACT if slot.id.rpartition(".")[0] in exact else FALSE_ALARM, delay_s)

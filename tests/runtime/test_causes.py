@@ -227,6 +227,24 @@ def test_a_frozen_message_proves_no_signal_beside_it(tmp_path):
     assert len(named) == len(groups[-1]["causes"]), "a message is told once, in whatever way it fails"
 
 
+def test_signals_of_a_frozen_message_that_look_for_other_times_are_not_late(tmp_path):
+    """One wheel is stuck after a second, the others after three: that is how long they look, not a second fault."""
+    signals = 'SG_ {} : {}|16@1+ (0.01,0) [0|300] "km/h" B'
+    wheels = " ".join(signals.format(name, 16 * k) for k, name in enumerate(("FL", "FR", "RL", "RR")))
+    text = f"BO_ 256 Speed: 8 A\n {signals.format('V', 0)}\nBO_ 257 Wheels: 8 B\n {wheels}\n"
+    looks = zip(("FL", "FR", "RL", "RR"), (1.0, 3.0, 3.0, 3.0), strict=True)
+    stuck = 'stuck = {{seconds = {}, share = 0.5, during = "Speed.V", within = [10.0, 300.0]}}'
+    lines = ", ".join(f'{{signal = "Wheels.{n}", {stuck.format(s)}}}' for n, s in looks)
+    one = Car(write(tmp_path, text, f'[[monitor]]\nname = "s"\ntype = "signal"\nbus = "b"\nsignal = [{lines}]\n'))
+    for k in range(1500):
+        speed, wheel = ((round(4000 + 2 * n)).to_bytes(2, "little") for n in (k, min(k, 600)))
+        one.feed([speed + bytes(6)], 256).feed([4 * wheel], 257)
+    assert one.failed() == ["FL.stuck", "FR.stuck", "RL.stuck", "RR.stuck"]
+    causes = [group["cause"] for event in one.of("diagnosis") for group in event["groups"]]
+    assert causes[-1] == ["message b.Wheels"]
+    assert all(cause in (None, ["message b.Wheels"]) for cause in causes)
+
+
 @pytest.fixture(scope="module")
 def car(tmp_path_factory):
     """Return the configuration that is learned from the car's drive, and the drive."""

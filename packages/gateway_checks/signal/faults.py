@@ -74,6 +74,7 @@ def faults(p: PartParams) -> tuple[Fault, ...]:
     for watched in p.watched:
         unit = f" [{watched.unit}]" if watched.unit else ""
         debounce = Debounce(failed_ms=watched.limits.failed_ms, passed_ms=watched.limits.passed_ms)
+        stuck = watched.limits.stuck
         for kind in kinds_of(watched):
             name, failure_type, text, remedy = KINDS[kind]
             found.append(
@@ -85,6 +86,7 @@ def faults(p: PartParams) -> tuple[Fault, ...]:
                     _AT_ONCE if kind == MISSING else debounce,
                     remedy=remedy,
                     tested=_tested(kind, watched),
+                    window_s=stuck.seconds or 0.0 if kind == STUCK and stuck is not None else 0.0,
                 )
             )
     return tuple(found)
