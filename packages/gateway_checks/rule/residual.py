@@ -49,7 +49,7 @@ def residual_of(part: PartParams) -> Callable[[LastResult], Reading | None] | No
     if _compares(program) != [len(program.ops) - 1]:
         return None  # several comparisons, or something made of one
     last = program.ops[-1][0]
-    equal = last == p.EQUAL
+    equal, remembers = last == p.EQUAL, any(op in (p.LOWPASS, p.DELAY) for op, _ in program.ops)
 
     def read(result: LastResult) -> Reading | None:
         values = [result.evidence[part.signals.index(name)] for name in program.signals]
@@ -57,7 +57,9 @@ def residual_of(part: PartParams) -> Callable[[LastResult], Reading | None] | No
         off = _two(p.SUBTRACT, left, right) if equal else inner
         if off is None or not result.limit > 0.0:
             return None
-        # A relation with memory has its own value, and the sign of the terms without memory.
+        # A relation with memory has its own value, and the sign of the terms without memory, if they are as far off.
+        if remembers and abs(abs(off.value) - result.value) > result.limit:
+            return None
         signed = math.copysign(result.value, off.value)
         return _reading(part, signed, result.limit, _noise(result), off)
 

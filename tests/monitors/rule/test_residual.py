@@ -74,6 +74,14 @@ def test_a_limit_of_a_difference_has_the_difference_with_its_sign():
     assert shares["r"] == 1.0
 
 
+def test_what_a_delay_remembers_has_no_sign_once_its_signal_has_come_back():
+    """The speed was 40 too high and is right again; what was delayed is still off by 40, below what it is now."""
+    text = "abs(A.ui - 1.001 * delay(B.v, 250)) <= 2"
+    reading = read(text, [70.0, 110.0], 40.1)
+    assert reading.residual == -40.1
+    assert read(text, [70.0, 69.8], 40.1) is None
+
+
 @pytest.mark.parametrize(
     "holds",
     ["A.x < 3", "A.x > 3 and A.y > 2", "A.x != A.y", "not A.x == A.y", "abs(lowpass(A.x, 100)) < 2 and A.y > 1"],
