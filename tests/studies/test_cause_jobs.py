@@ -1,5 +1,7 @@
 """The runs of the study of the diagnosis: faults that a learned configuration can show, and pairs of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from gateway_fdi.errors import InputError
 from gateway_fleet.study.cause import drive
 from gateway_fleet.study.cause.cars import END_S, Car, Injected, injected
 from gateway_fleet.study.cause.cases import faults
-from gateway_fleet.study.cause.command import _rates
+from gateway_fleet.study.cause.command import _rates, _reliability
 from gateway_fleet.study.cause.judge import judge
 from gateway_fleet.study.cause.matrix import Job, Row, pairs, run
 
@@ -101,6 +103,29 @@ def test_a_run_counts_as_often_as_its_part_fails():
     parts = [("message b.A", 3e-4), ("frozen b.A", 8e-5), ("message b.A", 3e-4), ("", 0.0)]
     rows = [Row("car", "some", k, 1.0, verdict, part, rate) for k, (part, rate) in enumerate(parts)]
     assert _rates(rows) == [1.5e-4, 8e-5, 1.5e-4, 0.0]
+
+
+def told_in(names, right):
+    """Return the row of the table for what was told with 85 %: runs, cases, mean, right, interval [%]."""
+    verdict = judge((), (), 0.0, 1.0)
+    rows = [
+        Row("car", name, k, 1.0, replace(verdict, seen=True, chance=0.85, right=float(one)))
+        for k, (name, one) in enumerate(zip(names, right, strict=True))
+    ]
+    table = _reliability("one fault", rows, [1.0] * len(rows))
+    *cells, interval = (next(iter(column.cells)) for column in table.columns)
+    return cells, [float(end.strip("% ")) for end in interval.split("to")]
+
+
+def test_an_interval_is_of_cases_not_of_runs_that_are_alike():
+    """Four runs of one case and six of others are as 100 / (16 + 6) cases; each a case of its own, they are ten."""
+    cells, (low, high) = told_in(["A", "A", "A", "A", *"BCDEFG"], [1, 1, 1, 1, 1, 1, 1, 1, 1, 0])
+    assert cells == ["0.8 to 0.9", "10", "7", "85.0%", "90.0%"]
+    _, (apart_low, apart_high) = told_in("ABCDEFGHIJ", [1, 1, 1, 1, 1, 1, 1, 1, 1, 0])
+    assert (apart_low, apart_high) == pytest.approx((59.6, 98.2), abs=0.1)  # Wilson's, of 9 in 10
+    assert low < apart_low - 5.0
+    assert high > apart_high
+    assert told_in(["A + B", "B + A"], [1, 1])[0][1:3] == ["2", "1"]
 
 
 def test_a_car_s_drive_is_judged_until_its_faults_end(tmp_path):

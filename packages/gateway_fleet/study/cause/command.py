@@ -16,7 +16,6 @@ from gateway.cli.present import print_json, wide_console
 from gateway_bench.cli.study import headed
 from gateway_fleet.study.cause.cars import learned
 from gateway_fleet.study.cause.cases import FAMILIES
-from gateway_fleet.study.cause.judge import Verdict
 from gateway_fleet.study.cause.matrix import Job, Row, done, folder_of, healthy, pairs, singles
 
 #: Of a normal distribution, 95 % on both sides.
@@ -50,17 +49,17 @@ def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Pat
     for kind, some in rows.items():
         told = [row for row in some if row.verdict.chance > 0.0]
         apart = [row for row in told if row.verdict.told_apart]
-        families: dict[str, list[Verdict]] = defaultdict(list)
+        families: dict[str, list[Row]] = defaultdict(list)
         for row in apart:
-            families[f"{kind}, {FAMILIES.get(row.plant, row.plant)}"].append(row.verdict)
-        families[f"{kind} that can be told apart"] = [row.verdict for row in apart]
-        families[kind] = [row.verdict for row in told]
-        for family, verdicts in families.items():
-            if verdicts and (family != kind or len(apart) < len(told)):
-                console.print(_reliability(family, verdicts, [1.0] * len(verdicts)))
+            families[f"{kind}, {FAMILIES.get(row.plant, row.plant)}"].append(row)
+        families[f"{kind} that can be told apart"] = apart
+        families[kind] = told
+        for family, mine in families.items():
+            if mine and (family != kind or len(apart) < len(told)):
+                console.print(_reliability(family, mine, [1.0] * len(mine)))
         rates = _rates(apart)
         if any(rates):
-            console.print(_reliability(f"{kind}, each as often as its part fails", [r.verdict for r in apart], rates))
+            console.print(_reliability(f"{kind}, each as often as its part fails", apart, rates))
     return 0
 
 
@@ -92,27 +91,32 @@ def _rates(rows: Sequence[Row]) -> list[float]:
     return [row.rate / alike[row.plant, row.part] for row in rows]
 
 
-def _reliability(kind: str, verdicts: Sequence[Verdict], rates: Sequence[float]) -> Table:
+def _reliability(kind: str, rows: Sequence[Row], rates: Sequence[float]) -> Table:
     """Return how often what was told last is right, by the tenths of its probability; with Wilson's interval.
 
-    Where runs count more or less, by their rates, the interval is of as many that count alike (Kish, "Survey sampling"
-    (1965), section 11.7).
+    Runs of one case are much alike, and runs count more or less, by their rates: the interval is of as many cases that
+    count alike (Kish, "Survey sampling" (1965), section 11.7).
     """
     title = f"{kind}: is what was told last right as often as its probability says?"
-    table = headed(title, ["told with"], ["runs", "mean", "right", "95 %"])
+    table = headed(title, ["told with"], ["runs", "cases", "mean", "right", "95 %"])
     edges = [*(k / 10 for k in range(10)), 0.99, 1.0]
     for low, high in itertools.pairwise(edges):
-        pairs = zip(verdicts, rates, strict=True)
-        mine = [(one, rate) for one, rate in pairs if low <= one.chance < high or one.chance == high == 1.0]
-        if not mine:
+        cases: dict[tuple[str, frozenset[str]], float] = defaultdict(float)
+        runs, mean, right = 0, 0.0, 0.0
+        for row, rate in zip(rows, rates, strict=True):
+            told = row.verdict
+            if low <= told.chance < high or told.chance == high == 1.0:
+                cases[row.plant, frozenset(row.name.split(" + "))] += rate
+                runs, mean, right = runs + 1, mean + rate * told.chance, right + rate * told.right
+        if not cases:
             continue
-        every = sum(rate for _, rate in mine)
-        n, share = every**2 / sum(rate**2 for _, rate in mine), sum(one.right * rate for one, rate in mine) / every
+        every = sum(cases.values())
+        n, share = every**2 / sum(rate**2 for rate in cases.values()), right / every
         middle, z2 = share + _Z**2 / (2 * n), _Z**2
-        apart = _Z * math.sqrt(share * (1.0 - share) / n + z2 / (4 * n * n))
+        apart = _Z * math.sqrt(max(share * (1.0 - share), 0.0) / n + z2 / (4 * n * n))
         ends = (f"{(middle + sign * apart) / (1.0 + z2 / n):.1%}" for sign in (-1, 1))
-        mean = sum(one.chance * rate for one, rate in mine) / every
-        table.add_row(f"{low:g} to {high:g}", str(len(mine)), f"{mean:.1%}", f"{share:.1%}", " to ".join(ends))
+        counts = str(runs), str(len(cases)), f"{mean / every:.1%}", f"{share:.1%}"
+        table.add_row(f"{low:g} to {high:g}", *counts, " to ".join(ends))
     return table
 
 
