@@ -71,6 +71,8 @@ class Cluster:
         self._sized |= np.isin(self.suspects, more)
         self._known: dict[int, dict[int, tuple[int, float]]] = {}
         self._by: dict[int, tuple[Ints, dict[int, float]]] = {}
+        self._others: dict[int, list[tuple[int, float]]] = {}
+        self._makes: dict[int, dict[int, float]] = {}
         self._count_passes()
 
     def told(self, components: tuple[int, ...]) -> tuple[str, ...]:
@@ -209,7 +211,9 @@ class Cluster:
         that is seen by way of another, unless a failed test shows that this is wrong, as often as it makes that wrong.
         The likelier of both counts: that all do so, or that none does.
         """
-        system, shown = self._system, self._shown(list(suspects))
+        if not any(self._sized[list(suspects)]):
+            return 1.0
+        shown = self._shown(list(suspects))
         gains: dict[int, dict[tuple[int, int], float]] = {}
         price: dict[tuple[int, int], float] = {}
         for k in suspects:
@@ -219,13 +223,10 @@ class Cluster:
                 price |= {(k, way): share for way, share in self._shares(k).items() if way not in shown[k]}
         disturbed = dict[int, float]()
         for k in suspects if len(suspects) > 1 else ():
-            known, links = self._signed(k), system.of_component[self.suspects[k]]
-            tests = system.link_test[links]
-            has = np.isfinite(self._gain_of(links)) & np.isfinite(self._residual_of(tests)) & self._sized[k]
-            for test, power, waits in zip(tests.tolist(), system.power[links].tolist(), has.tolist(), strict=True):
-                if waits and test not in known:
+            for test, power in self._unsigned(k):
+                if power < 0.0:
                     gains.pop(test, None)
-                elif test not in known:
+                else:
                     disturbed[test] = 1.0 - (1.0 - disturbed.get(test, 0.0)) * (1.0 - power)
         quiet = {t: {size: g for size, g in row.items() if size not in price} for t, row in gains.items()}
         none = self._chance({t: row for t, row in quiet.items() if row})
@@ -236,6 +237,16 @@ class Cluster:
         left = {test: row for test, row in gains.items() if test not in disturbed}
         return max(none, math.prod(prices) * self._chance(left))
 
+    def _unsigned(self, k: int) -> list[tuple[int, float]]:
+        """Return the other tests that see a suspect, and its powers; -1: the gain is known, but its pass is too early."""
+        if k not in self._others:
+            links, known = self._system.of_component[self.suspects[k]], self._signed(k)
+            tests = self._system.link_test[links]
+            has = np.isfinite(self._gain_of(links)) & np.isfinite(self._residual_of(tests)) & self._sized[k]
+            powers = np.where(has, -1.0, self._system.power[links])
+            self._others[k] = [(t, w) for t, w in zip(tests.tolist(), powers.tolist(), strict=True) if t not in known]
+        return self._others[k]
+
     def _shown(self, chosen: list[int]) -> dict[int, set[int]]:
         """Return by suspect what it is seen by way of in tests that fail by it alone: that is wrong for sure."""
         sees = self.power[:, chosen] > 0.0
@@ -244,15 +255,16 @@ class Cluster:
 
     def _shares(self, k: int) -> dict[int, float]:
         """Return by what a suspect is seen by way of, how often it makes that wrong."""
-        system, own = self._system, self.suspects[k]
-        links = system.of_component[own]
-        via = system.via[links]
-        shares: dict[int, float] = {}
-        ways = system.link_component[via].tolist()
-        for way, share in zip(ways, system.power[links] / system.power[via], strict=True):
-            if way != own:
-                shares[way] = max(shares.get(way, 0.0), min(float(share), 1.0))
-        return shares
+        if k not in self._makes:
+            system, own = self._system, self.suspects[k]
+            links = system.of_component[own]
+            via = system.via[links]
+            made = self._makes[k] = dict[int, float]()
+            ways = system.link_component[via].tolist()
+            for way, share in zip(ways, (system.power[links] / system.power[via]).tolist(), strict=True):
+                if way != own:
+                    made[way] = max(made.get(way, 0.0), min(share, 1.0))
+        return self._makes[k]
 
     def _chance(self, gains: dict[int, dict[tuple[int, int], float]]) -> float:
         """Return how probable as large a misfit is, of tests with their gains by each size."""
