@@ -238,7 +238,7 @@ class Cluster:
         return max(none, math.prod(prices) * self._chance(left))
 
     def _unsigned(self, k: int) -> list[tuple[int, float]]:
-        """Return the other tests that see a suspect, and its powers; -1: the gain is known, but its pass is too early."""
+        """Return the other tests that see a suspect, and its powers; -1: a gain is known, but the pass is too early."""
         if k not in self._others:
             links, known = self._system.of_component[self.suspects[k]], self._signed(k)
             tests = self._system.link_test[links]
