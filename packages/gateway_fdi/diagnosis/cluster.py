@@ -35,6 +35,13 @@ TOLD = 0.5
 MISFIT = 1e-3
 
 
+def _alone(power: Floats) -> NDArray[np.bool_]:
+    """Return which component sees a test alone, by the powers, shape (tests, components)."""
+    sees = power > 0.0
+    alone: NDArray[np.bool_] = sees & (sees.sum(axis=1) == 1)[:, None]
+    return alone
+
+
 class Cluster:
     """Failed tests that share components.
 
@@ -66,7 +73,7 @@ class Cluster:
         self._from: Ints = state.passed_from[places]
         self._due: Ints = system.delay_ns[places]
         self._alarm: Floats = system.false_alarm[places]
-        sized = np.isfinite(self._gain_of(links)) & np.isfinite(self._residual_of(system.link_test[links]))
+        sized = self._says_size(links)
         self._sized = np.bincount(column, weights=sized, minlength=len(self.suspects)) > 0
         self._sized |= np.isin(self.suspects, more)
         self._known: dict[int, dict[int, tuple[int, float]]] = {}
@@ -83,14 +90,16 @@ class Cluster:
         """Return the same failed tests with more suspects, by their places."""
         return Cluster(self._system, self._state, self.failed, more)
 
-    def _residual_of(self, tests: Ints) -> Floats:
-        """Return the residuals of tests whose noise is known, NaN for others."""
-        return np.where(np.isfinite(self._state.noise[tests]), self._state.residual[tests], np.nan)
-
     def _gain_of(self, links: Ints) -> Floats:
         """Return the gains by which tests see components, or what they see these by way of; NaN: not known."""
         gains: Floats = self._state.gain[self._system.via[links]]
         return gains
+
+    def _says_size(self, links: Ints) -> NDArray[np.bool_]:
+        """Return whether a link has a gain, and its test a residual whose noise is known, shape (links,)."""
+        test, state = self._system.link_test[links], self._state
+        finite: NDArray[np.bool_] = np.isfinite(self._gain_of(links) + state.noise[test] + state.residual[test])
+        return finite
 
     def _count_passes(self) -> None:
         """Weigh suspects by their priors, and by the tests that would have seen them."""
@@ -108,7 +117,7 @@ class Cluster:
         latest[latest == never] = self._since.max(initial=never)  # what none blames may be behind any
         due = latest[column] + system.delay_ns[test]
         counts = state.until[test] >= due
-        by_size = self._sized[column] & np.isfinite(self._gain_of(links)) & np.isfinite(self._residual_of(test))
+        by_size = self._sized[column] & self._says_size(links)
         clear = np.where(counts & ~by_size, system.log_escape[links], 0.0)
         self.weights: Floats = system.odds[self.suspects] + np.bincount(
             column, weights=clear, minlength=len(self.suspects)
@@ -174,8 +183,7 @@ class Cluster:
         return np.where(late, power * (1.0 - power), power)
 
     def _late(self, power: Floats) -> NDArray[np.bool_]:
-        sees = power > 0.0
-        alone = sees & (sees.sum(axis=1) == 1)[:, None]
+        sees, alone = power > 0.0, _alone(power)
         never = np.iinfo(np.int64).max
         begun = np.where(alone, self._since[:, None], never).min(axis=0)
         known = begun < never
@@ -199,7 +207,7 @@ class Cluster:
         cleared = set(test[mine][counts[mine]].tolist())
         links = system.of_component[self.suspects[k]]
         tests, gains = system.link_test[links], self._gain_of(links)
-        told = np.isfinite(gains) & np.isfinite(self._residual_of(tests))
+        told = self._says_size(links)
         ways = system.link_component[system.via[links[told]]].tolist()
         each = zip(tests[told].tolist(), ways, gains[told].tolist(), strict=True)
         return {t: (way, gain) for t, way, gain in each if t in self._row or t in cleared}
@@ -242,15 +250,13 @@ class Cluster:
         if k not in self._others:
             links, known = self._system.of_component[self.suspects[k]], self._signed(k)
             tests = self._system.link_test[links]
-            has = np.isfinite(self._gain_of(links)) & np.isfinite(self._residual_of(tests)) & self._sized[k]
-            powers = np.where(has, -1.0, self._system.power[links])
+            powers = np.where(self._says_size(links) & self._sized[k], -1.0, self._system.power[links])
             self._others[k] = [(t, w) for t, w in zip(tests.tolist(), powers.tolist(), strict=True) if t not in known]
         return self._others[k]
 
     def _shown(self, chosen: list[int]) -> dict[int, set[int]]:
         """Return by suspect what it is seen by way of in tests that fail by it alone: that is wrong for sure."""
-        sees = self.power[:, chosen] > 0.0
-        alone = sees & (sees.sum(axis=1) == 1)[:, None]
+        alone = _alone(self.power[:, chosen])
         return {k: {int(self._ways(k)[0][row]) for row in np.flatnonzero(alone[:, at])} for at, k in enumerate(chosen)}
 
     def _shares(self, k: int) -> dict[int, float]:
